@@ -22,6 +22,14 @@ class DurationSpread(NamedTuple):
     p99: float  # [us] what 99 of 100 do not exceed
     maximum: float  # [us]
 
+    def readings(self, what: str) -> dict[str, float]:
+        """Return the figures by name, for ``/diagnostics``."""
+        return {
+            f"{what}, median [us]": self.median,
+            f"{what}, 99th percentile [us]": self.p99,
+            f"{what}, largest [us]": self.maximum,
+        }
+
 
 NOTHING = DurationSpread(0, 0.0, 0.0, 0.0)
 """Of no durations at all."""

@@ -21,7 +21,7 @@ COMMANDS = {
     "metrics": "compute the indices of recorded bags and compare them",
     "excite": "move joints of a running robot so that a recording tells what they are",
     "identify": "find inertia, friction, load and delay of joints in a bag",
-    "replay": "compute every command of a recording anew, and compare to the last bit",
+    "replay": "compute every command of a recording again, and compare to the last bit",
     "repair": "save what can be read of a bag that was cut off or damaged",
     "render": "draw the robot of a result as it moved, side by side, animated",
     "gains": "compute gains by a published tuning rule",
@@ -68,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("hpid: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # whoever read the output has read enough, as head does
+    except BrokenPipeError:  # the reader of the output has read enough, as head does
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return UNREAD
 

@@ -389,8 +389,7 @@ def inertias_from(
         raise SettingError(unknown_name("joint in --inertia", unknown[0], joints))
     if of_all and options.urdf:
         raise SettingError(
-            "--inertia takes JOINT=M or JOINT=LOW:HIGH beside --urdf, which says that of "
-            "the others"
+            "--inertia takes JOINT=M or JOINT=LOW:HIGH with --urdf, which says that of the others"
         )
     if of_all:
         found = dict.fromkeys(joints, of_all)

@@ -212,7 +212,7 @@ USAGE = Usage(
         *("bags", "watch", "labels", "joints", "format", "units", "indices", "keep_running"),
         *("reference", "commands", "command_topics", "robot_description", "status_fd"),
     ],
-    tells=["~/indices"],
+    publishes=["~/indices"],
 )
 
 

@@ -2,8 +2,8 @@
 
 What it cannot keep up with is not dropped in silence. It keeps all that it has received (a
 subscription that keeps the last N overwrites without a word, and the events executor may never be
-told of it again afterwards), so what is lost is lost at the publishers, of which the middleware
-tells: the counts stand in the bag's metadata, in ``/diagnostics`` and in the log.
+notified again afterwards), so what is lost is lost at the publishers, which the middleware
+reports: the counts stand in the bag's metadata, in ``/diagnostics`` and in the log.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class BagRecorder(executor.ClosingNode):
             TopicQos(
                 reliable=qos.reliability == ReliabilityPolicy.RELIABLE,
                 transient_local=qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-                # Nobody on the graph tells a publisher's depth; this is what those of a run have.
+                # The graph does not say a publisher's depth; this is what those of a run have.
                 depth=OFFERED.depth,
             ),
         )
@@ -147,7 +147,7 @@ class BagRecorder(executor.ClosingNode):
             self._try(partial(self._writer.write, handle, time.time_ns(), raw))
 
     def _try(self, action: Callable[[], None]) -> None:
-        """Write to the bag; the first failure is told once and ends the process."""
+        """Write to the bag; the first failure is reported once and ends the process."""
         try:
             action()
         except BagError as error:
@@ -160,7 +160,7 @@ class BagRecorder(executor.ClosingNode):
             self.request_stop(executor.FAILED)
 
     def _report(self) -> None:
-        """Put what is waiting into the file, and only then tell that it is recorded.
+        """Put what is waiting into the file, and only then report that it is recorded.
 
         Also while nothing comes: a bag that was deleted is found out at once.
         """
@@ -248,14 +248,13 @@ def _positive(missed: Mapping[str, int]) -> dict[str, int]:
 
 
 def _listed(missed: Mapping[str, int]) -> str:
-    """Return what was missed in words."""
     return ", ".join(f"{count} on {topic}" for topic, count in _positive(missed).items())
 
 
 def _message_class(type_name: str) -> Any:
     """Return the Python class of a message type, for instance ``std_msgs/msg/String``.
 
-    The name comes from whoever publishes: nothing but a package's messages is imported for it.
+    The name comes from a publisher: nothing but a package's messages is imported for it.
     """
     parts = _MESSAGE_TYPE.fullmatch(type_name)
     if parts is None:

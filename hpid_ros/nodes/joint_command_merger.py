@@ -245,7 +245,7 @@ class JointCommandMerger(ManagedNode):
 
     An active merger waits for the receiver of its commands, and for as many publishers of
     ``joint_commands`` as it has joints that may not be missing; then it listens, so that
-    controllers begin when somebody is there for all of them. Controllers of the same process hand
+    controllers begin when all of them have a subscriber. Controllers of the same process hand
     their commands to it without a topic between (:meth:`sink`).
     """
 
@@ -316,7 +316,7 @@ class JointCommandMerger(ManagedNode):
             self._stream.zero()
         if not self._zeros_left:
             self._stop_repeating()
-            self._watch.stop()  # which knows whether there is somebody new, until the last zero
+            self._watch.stop()  # until the last zero it notices new subscriptions
             self._claim.release()
 
     def _stop_repeating(self) -> None:
@@ -436,7 +436,6 @@ class JointCommandMerger(ManagedNode):
     def _report(self) -> None:
         lifecycle, merger, health = self.lifecycle, self._stream.merger, self._health
         level, message = self._verdict(lifecycle, merger)
-        spread = health.delays.recent()
         health.publish(
             level,
             message,
@@ -447,9 +446,7 @@ class JointCommandMerger(ManagedNode):
                 "activity told by": self._watch.activity_topic,
                 **(_readings(merger) if merger is not None else {}),
                 "messages withheld": self._output.withheld,
-                "first answer to message, median [us]": spread.median,
-                "first answer to message, 99th percentile [us]": spread.p99,
-                "first answer to message, largest [us]": spread.maximum,
+                **health.delays.recent().readings("first answer to message"),
                 "misread commands": health.misread,
                 "refused requests": health.refused_requests,
                 "scheduling": self._scheduling,
@@ -478,7 +475,7 @@ class JointCommandMerger(ManagedNode):
         return OK, "merging"
 
     def _rivals(self) -> list[str]:
-        """Return the nodes that publish beside this one."""
+        """Return the other nodes that publish the merged commands."""
         own = self.get_fully_qualified_name()
         infos = self.get_publishers_info_by_topic(self._output.publisher.topic_name)
         names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]

@@ -62,7 +62,7 @@ class TrajectoryPublisher(executor.ClosingNode):
         )
 
     def _on_state(self, raw: bytes) -> None:
-        """Wait for the first point of the motion, then tell when it began."""
+        """Wait for the first point of the motion, then publish when it began."""
         if self._is_under_way:
             return
         try:
@@ -77,7 +77,7 @@ class TrajectoryPublisher(executor.ClosingNode):
         self._is_under_way = True
         self._publisher.publish(to_message(self._trajectory.started(self._start_ns)))
         self._status.send("under way", start_ns=self._start_ns)
-        # Not from its own callback; whoever paces the robot shall not feed one listener more.
+        # Not from its own callback; what paces the robot has one subscriber less to serve.
         self._leaving = steady_timer(self, 0.0, self._leave_states)
 
     def _leave_states(self) -> None:

@@ -83,10 +83,10 @@ def run(options: argparse.Namespace) -> int:
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
     plan = _plan(options)
-    told = TextConsole(stderr=True)
+    console = TextConsole(stderr=True)
     if options.merge:
-        return _merge(options, plan, told)
-    with chosen_runner(options, told) as runner:
+        return _merge(options, plan, console)
+    with chosen_runner(options, console) as runner:
         folder = study_folder(
             output_folder(options, "study"),
             force=options.force,
@@ -94,9 +94,9 @@ def run(options: argparse.Namespace) -> int:
             inputs=plan.inputs,
         )
         print_engine_note(entry.experiment for entry in plan.entries)
-        with result_announced(told, folder, "what was run"):
+        with result_announced(console, folder, "what was run"):
             runs = len(plan.tasks()) - len(kept_records(plan, folder.path))
-            with folder, run_progress(told, runs) as ended:
+            with folder, run_progress(console, runs) as ended:
                 result = run_study(plan, folder, runner, ended)
             _print(result, options.table)
     return FAILED if result.table.failures else DONE
@@ -118,7 +118,7 @@ def _plan(options: argparse.Namespace) -> StudyPlan:
     )
 
 
-def _merge(options: argparse.Namespace, plan: StudyPlan, told: Console) -> int:
+def _merge(options: argparse.Namespace, plan: StudyPlan, console: Console) -> int:
     from hpid_ros.experiment.study_run import JOURNAL, merged, save, study_folder
 
     result = merged(plan, options.merge)
@@ -127,7 +127,7 @@ def _merge(options: argparse.Namespace, plan: StudyPlan, told: Console) -> int:
     with study_folder(path, force=options.force, inputs=inputs) as folder:
         save(result, folder)
     _print(result, options.table)
-    told.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+    console.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
     return DONE
 
 

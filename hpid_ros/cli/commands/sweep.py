@@ -77,13 +77,13 @@ def run(options: argparse.Namespace) -> int:
         joints=options.joint,
         seeds=options.seeds,
     )
-    told = TextConsole(stderr=True)
-    with chosen_runner(options, told) as runner:
+    console = TextConsole(stderr=True)
+    with chosen_runner(options, console) as runner:
         path = output_folder(options, f"{experiment.name}-sweep")
         folder = ResultFolder.create(path, force=options.force, inputs=experiment.inputs)
         print_engine_note([experiment])
-        with result_announced(told, folder, "what was run"):
-            with folder, run_progress(told, len(sweep.tasks())) as ended:
+        with result_announced(console, folder, "what was run"):
+            with folder, run_progress(console, len(sweep.tasks())) as ended:
                 result = run_sweep(sweep, folder, runner, ended)
             _print(result, options.format)
     return FAILED if result.table.failures else DONE

@@ -20,7 +20,7 @@ SIGSEGV, SIGABRT, ...     left alone: the process has crashed, and can promise n
 ========================  ===================================================================
 
 What is ignored when the process begins stays ignored (``nohup``), but for SIGINT and SIGTERM;
-what somebody has a handler for by then, or gets one for later, is theirs.
+signals that have a handler by then, or get one later, keep it.
 """
 
 from __future__ import annotations
@@ -93,9 +93,9 @@ class Usage:
     about: str  # what it does, in one sentence
     needs: str = ""  # parameters that must be given, as an example, for instance -p joint:=elbow
     parameters: Sequence[str] = ()  # names of all parameters; motor.* is a group of them
-    listens: Sequence[str] = ()  # topics that it subscribes to
-    tells: Sequence[str] = ()  # topics that it publishes
-    serves: Sequence[str] = ()  # services beside those of every node
+    subscribes: Sequence[str] = ()  # topics
+    publishes: Sequence[str] = ()  # topics
+    services: Sequence[str] = ()  # but those of every node
 
     def print(self) -> None:
         """Print all of it; a reader of the first lines alone (``head``) is no error."""
@@ -108,9 +108,9 @@ class Usage:
         needs = f" {self.needs}" if self.needs else ""
         lists = {
             "parameters": self.parameters,
-            "subscribes to": self.listens,
-            "publishes": self.tells,
-            "services": self.serves,
+            "subscribes to": self.subscribes,
+            "publishes": self.publishes,
+            "services": self.services,
         }
         paragraphs = [f"{what}: {', '.join(names)}" for what, names in lists.items() if names]
         return "\n".join(
@@ -140,7 +140,7 @@ FAILED = 1
 
 _STOPS_WITHIN = 4.5  # [s] from the request to the close of the nodes
 _EVENTS_WITHIN = 0.5  # [s] for a parent that is slow to read
-_SWITCH_INTERVAL = 5e-4  # [s]; how late a thread beside the loop (a decoder) makes a sample
+_SWITCH_INTERVAL = 5e-4  # [s]; how late another thread (a decoder) makes a sample
 _DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
 
 
@@ -339,7 +339,7 @@ class Supervisor:
                 self.future.set_result(None)
 
     def fail(self, error: Exception, code: int) -> None:
-        """Ask for the end because of something that was raised; nobody winds down before."""
+        """Ask for the end because of an error; the nodes do not begin a stop before."""
         self.failure = error
         self.request(code)
 
@@ -380,7 +380,7 @@ class Supervisor:
         return math.inf
 
     def _cut_effort(self) -> bool:
-        """Leave all joints for ever, and tell whether a node lets the process end like this."""
+        """Leave all joints for ever, and return whether a node lets the process end like this."""
         self.has_cut_effort = bool(self._nodes)
         may_end = [_attempt(node.cut_effort, False) for node in self._nodes]  # all of them
         return any(may_end)
@@ -474,7 +474,7 @@ def run(
 
 
 def _end_by(number: int) -> None:
-    """End by a signal, so that a parent sees it as if nobody had caught it."""
+    """End by a signal, so that a parent sees it as if it had not been caught."""
     sys.stdout.flush()
     sys.stderr.flush()
     signal.signal(number, signal.SIG_DFL)
@@ -554,7 +554,7 @@ def _destroy(node: Node) -> None:
 
 
 def _fail(error: Exception) -> int:
-    """Print one line for an error that nobody expected: what, and where."""
+    """Print one line for an unexpected error: what, and where."""
     place = traceback.extract_tb(error.__traceback__)[-1:]
     where = f" ({place[0].filename}:{place[0].lineno})" if place else ""
     print(shown(f"{type(error).__name__}: {' '.join(str(error).split())}{where}"), file=sys.stderr)

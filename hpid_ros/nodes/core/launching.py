@@ -15,8 +15,8 @@ from launch.events.process import ProcessExited, ProcessIO
 def failures() -> list[RegisterEventHandler]:
     """Return what ends the launch with the reason, and not with 0, when a process fails.
 
-    The reason is the last line that the process wrote to stderr. One that a signal ended, as
-    somebody who tries out what becomes of the others may do, has not failed.
+    The reason is the last line that the process wrote to stderr. One that a signal ended has not
+    failed.
     """
     last_words: dict[int, str] = {}
 

@@ -37,7 +37,7 @@ _CLOCKS: WeakKeyDictionary[Node, Clock] = WeakKeyDictionary()
 def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> Timer:
     """Return a running timer on the steady clock.
 
-    A node's own timers follow its ROS clock: they wait when somebody sets the time back, and
+    A node's own timers follow its ROS clock: they wait when the time is set back, and
     with ``use_sim_time`` while the simulation stands still.
     """
     # The executor has a thread for each clock, and warns from eight timers of one clock on, which
@@ -82,7 +82,7 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""The reference: whoever comes later gets it too."""
+"""The reference: subscribers that come later get it too."""
 
 RARE = _profile(ReliabilityPolicy.RELIABLE, 10)
 """Messages that come rarely: setpoints, diagnostics, poses."""
@@ -92,7 +92,7 @@ def overridable() -> QoSOverridingOptions:
     """Return the option that lets ``qos_overrides`` parameters replace a profile.
 
     History, depth and reliability, as by default; of a publisher also the lifespan in [ns]. Fast
-    DDS sends a message that is older than that to nobody any more, and does not take back what a
+    DDS sends a message that is older than that no more, and does not take back what a
     subscriber has got; other middlewares do, by the clock of the subscriber's host. It is not
     limited by default: a last zero is worth being sent again.
     """

@@ -29,8 +29,8 @@ ServiceCallback = Callable[[Any, Any], Any]
 def given_parameters(node: Node) -> dict[str, Parameter]:
     """Return what was given for a node: command line, parameter files and constructor, by name.
 
-    Uses ``Node._parameter_overrides``, which rclpy reads when a parameter is declared: whoever
-    changes an entry before changes what is declared. Values have the types that they came in.
+    Uses ``Node._parameter_overrides``, which rclpy reads when a parameter is declared: an
+    entry that is changed before changes what is declared. Values have the types that they came in.
     """
     given: dict[str, Parameter] = _private(node, "_parameter_overrides", "given parameters")
     return given

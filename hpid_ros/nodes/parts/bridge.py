@@ -42,7 +42,7 @@ from hpid_ros.simulation.world_file import WorldFile, world_of
 
 MODES = ("lockstep", "realtime")
 
-_RESTART_TAKES = 0.2  # [s], at least: nobody waits for the place of one that was killed
+_RESTART_TAKES = 0.2  # [s], at least: the place of one that was killed stays free for so long
 _POSITIVE = (1e-6, 1e6)
 _DEFAULT_ROBOT = "urdf/mobile_manipulator.urdf"
 OVER_THE_FILE = {
@@ -316,7 +316,7 @@ class RobotBridge(executor.ClosingNode):
             self._resume()
 
     def _resume(self) -> None:
-        """Advance if nothing is missing and nobody has paused the simulation."""
+        """Advance if no command is missing and the simulation is not paused."""
         if not self._is_started or self._is_done or self._barrier.missing:
             return
         if self._simulation.may_advance():

@@ -17,7 +17,7 @@ from hpid_ros.simulation.lockstep import AnswerCounts, FollowedSender
 
 
 class HeldCommands:
-    """Takes commands as they come and waits for nobody; else it is used as a ``Barrier`` is.
+    """Takes commands as they come and waits for none; else it is used as a ``Barrier`` is.
 
     A command stands until the joint's next one, whichever state it answers, so that a late
     controller costs delay and not effort. A joint whose last command came too long ago gets no
@@ -139,7 +139,7 @@ class Commanders:
         return tuple(compress(names, taken)), tuple(compress(efforts, taken))
 
     def move(self) -> None:
-        """Note that a state is about to be published; after a standstill nobody is silent yet."""
+        """Note that a state is due; after a standstill no joint is silent yet."""
         now = time.perf_counter()
         if now - self._moved > self._patience:
             for followed in self._followed.values():

@@ -64,7 +64,7 @@ class BridgeServices:
             self._resume()
 
     def step(self) -> bool:
-        """Let a paused simulation go on by one control period, and tell whether it is paused."""
+        """Let a paused simulation go on by one control period, and return whether it is paused."""
         if self.is_paused:
             self._steps += 1
             self._resume()
@@ -320,12 +320,9 @@ class BridgeTiming:
         """Return the figures since the last call, with their units, for ``/diagnostics``."""
         now, (then, before) = time.perf_counter_ns(), self._reported
         self._reported = now, simulated_ns
-        cycle = self._cycles.recent()
         figures = {
             "real-time factor": max(simulated_ns - before, 0) / max(now - then, 1),
-            "cycle, median [us]": cycle.median,
-            "cycle, 99th percentile [us]": cycle.p99,
-            "cycle, largest [us]": cycle.maximum,
+            **self._cycles.recent().readings("cycle"),
         }
         for joint, durations in self._latencies.items():
             latency = durations.recent()

@@ -105,7 +105,7 @@ def _bound(name: str) -> socket.socket:
 
 
 LEASE = 1.5
-"""A claim that has not been heard for so long has ended, in [s]."""
+"""A claim of which no message has come for so long has ended, in [s]."""
 
 
 class ClaimState(Enum):
@@ -330,7 +330,7 @@ class JointClaim:
     def keep(self) -> float:
         """Publish a held claim where the executor does not, and return when to check again [s].
 
-        On any thread: whoever gives efforts while the executor is busy or stuck holds its joint.
+        On any thread: a node that gives efforts while its executor is stuck holds its joint.
         """
         if not self._is_claiming or not self._publishing.acquire(timeout=_LOCK_WITHIN):
             return _OVERDUE if self._is_claiming else math.inf

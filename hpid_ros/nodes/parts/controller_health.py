@@ -114,13 +114,9 @@ class LoopTiming:
         """Return the figures since the last call, with their units, for ``/diagnostics``."""
         period, compute = self._periods.recent(), self._computes.recent()
         return {
-            "period, median [us]": period.median,
-            "period, 99th percentile [us]": period.p99,
-            "period, largest [us]": period.maximum,
+            **period.readings("period"),
             "jitter [us]": period.p99 - period.median,
-            "compute time, median [us]": compute.median,
-            "compute time, 99th percentile [us]": compute.p99,
-            "compute time, largest [us]": compute.maximum,
+            **compute.readings("compute time"),
         }
 
     def whole(self) -> dict[str, Any]:

@@ -449,7 +449,7 @@ class GoalFollower:
         return self._end(Result(ResultCode.INVALID_GOAL, against)) if against else None
 
     def _violate(self, code: ResultCode, active: ActiveGoal, violated: dict[int, str]) -> Outcome:
-        """Abort: whoever is off is held where it is, the others stop."""
+        """Abort: joints that are off are held where they are, the others stop."""
         return self._end(Result(code, active.when(self._now(), violated.values())), violated)
 
     def _watch(

@@ -105,7 +105,7 @@ class FollowerInputs:
 
 
 _OWN_KEPT = 16  # messages that may be on their way back
-_HEARD_WITHIN = Duration(seconds=0.5)
+_ACKNOWLEDGED_WITHIN = Duration(seconds=0.5)
 
 
 class GroupTrajectoryPublisher:
@@ -137,10 +137,10 @@ class GroupTrajectoryPublisher:
 
     def wait_until_acknowledged(self) -> None:
         """Wait until every controller has acknowledged the last trajectory, for a while."""
-        if self._sent and not self._publisher.wait_for_all_acked(_HEARD_WITHIN):
+        if self._sent and not self._publisher.wait_for_all_acked(_ACKNOWLEDGED_WITHIN):
             self._node.get_logger().warning(
                 "the last trajectory was not acknowledged by every subscriber within "
-                f"{_HEARD_WITHIN.nanoseconds * 1e-9:g} s"
+                f"{_ACKNOWLEDGED_WITHIN.nanoseconds * 1e-9:g} s"
             )
 
     def subscribers(self) -> set[str]:

@@ -41,7 +41,7 @@ Sent = Callable[[Callable[[], None]], AbstractContextManager[None]]
 
 
 class DeferringServer(ActionServer):
-    """An action server whose goals are executed when somebody has their result.
+    """An action server whose goals are executed when their result is there.
 
     And one that answers a client that is not matched yet, too: in a block of :attr:`sent`.
     """
@@ -99,7 +99,7 @@ class _Cancels:
 
 _ACTION = "~/follow_joint_trajectory"
 _RESULTS_KEPT = 10  # [s], rcl_action's own default; rclpy's is a quarter of an hour
-_HEARD_WITHIN = 0.25  # [s] for the last results: nobody acknowledges the answer of a service
+_RECEIVED_WITHIN = 0.25  # [s] for the last results: answers of services are not acknowledged
 _POINTS_AT_ONCE = 200_000  # of all goals that are kept; a point costs about a kilobyte
 _GOALS_AT_ONCE = 1000
 
@@ -321,7 +321,7 @@ class GoalServer:
         finally:
             self._ending -= 1
             if self._left is not None and not self._ending:
-                steady_timer(self._node, _HEARD_WITHIN, self._note_left)
+                steady_timer(self._node, _RECEIVED_WITHIN, self._note_left)
         return self._type.Result(error_code=int(result.code), error_string=result.text)
 
     def _note_left(self) -> None:

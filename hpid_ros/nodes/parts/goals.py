@@ -329,7 +329,7 @@ _WAITS_AT_MOST = 3600  # [s] for the start of a goal
 
 @dataclass(frozen=True, eq=False)
 class GoalRequest:
-    """A goal that is a trajectory, whoever may follow it."""
+    """A goal as it was asked for."""
 
     names: tuple[str, ...]  # its joints, each once
     stamp_ns: int  # [ns] when it starts; 0 means now
@@ -515,7 +515,7 @@ def coast_down(
     """Return knots of a joint that goes on for LEAD_NS and then stops by constant deceleration.
 
     Near a limit of its positions it decelerates more: it never passes it. A joint that is beyond
-    a limit is told to be at it.
+    a limit is brought back to it.
     """
     now, then = _inside(Knot(0, position, velocity), braking), Knot(LEAD_NS, *later)
     was_inside = now.position == position  # else it does not go on from where it was

@@ -104,7 +104,7 @@ class SharedTopics:
     """One subscription to the states for the controllers of a process, and one answer to each.
 
     The subscription begins when all that are going to listen are ready, so that a robot in
-    lock-step, which publishes once somebody listens, is answered for every joint from its first
+    lock-step, which publishes once it has a subscriber, is answered for every joint from its first
     state on. A controller that is ready later joins it. Each state is given to all controllers,
     and what they send meanwhile goes out in one message at the end. What one sends at any other
     time, or from another thread, goes out at once, and takes the place of an answer that still
@@ -187,7 +187,7 @@ class SharedTopics:
                 self._lock.release()
 
     def _publish_answers(self) -> None:
-        """Publish what was collected, in the order of the sinks, whoever answered first."""
+        """Publish what was collected, in the order of the sinks."""
         by_stamp: dict[int, dict[str, float]] = {}
         for joint in self._joints:
             if joint in self._answers:
@@ -207,7 +207,7 @@ class SharedTopics:
 
 
 def sender_of(node: Node, is_alone: bool) -> str:
-    """Return what tells a node's commands from those of all others."""
+    """Return what distinguishes a node's commands from those of all others."""
     name = str(node.get_fully_qualified_name())
     if is_alone:
         return name

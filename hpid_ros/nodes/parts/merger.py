@@ -3,7 +3,7 @@
 A round begins with a command that answers a newer state, or with a joint that answers for the
 second time: a state that was repeated, a last zero, a clock that went back. It is complete when
 all joints that are waited for have answered. Whatever has come is due, complete or not, when the
-first of it is as old as a stated part of the time between two rounds: a straggler delays nobody
+first of it is as old as a stated part of the time between two rounds: a straggler delays no other
 for longer, and one that was late is not waited for again until it has answered in time. A joint
 whose stamps are ahead of all others' makes stragglers of them, and its pace the time between two
 rounds: so what a straggler sent is due at the latest when it sends again.
@@ -55,8 +55,6 @@ class MergedJoint:
 
 @dataclass(frozen=True)
 class MergerSettings:
-    """All that a merger is told."""
-
     joints: tuple[MergedJoint, ...]  # in the order of the merged command
     straggler_wait: float = 0.5
     # [s] a joint that comes back is faded in from its fallback for so long
@@ -115,7 +113,7 @@ class Receiver:
     A receiver that is named is a group controller of ros2_control, which says itself which joints
     it has, in which order. A message of another size would end it, so it is asked whenever there
     is a new one of that name, and gets nothing before it has answered. Of one without a name
-    nothing is known but that somebody subscribes.
+    nothing is known but that it subscribes.
     """
 
     def __init__(self, name: str, joints: Sequence[str], topic: str) -> None:
@@ -285,7 +283,7 @@ class Rounds:
         self._awaited.discard(joint)
 
     def forget(self) -> None:
-        """Note that what has come is sent, whoever has not answered."""
+        """Note that what has come is sent, though answers are missing."""
         self.deadline_ns = None
         self._unsent.clear()
         self._is_overdue = False
@@ -301,7 +299,7 @@ class Rounds:
         return self._alive - self._answered
 
 
-_REPEATS = 4  # in one timeout, of a fallback that nobody else's command carries
+_REPEATS = 4  # in one timeout, of a fallback that no command carries
 _SHORTEST_REPEAT_NS = NANOSECONDS // 1000
 _STOOD_STILL_NS = NANOSECONDS // 20  # a look that comes later than this: we stood still ourselves
 
@@ -405,7 +403,7 @@ class CommandMerger:
         return self._finish(now_ns) if self.rounds.is_complete else None
 
     def flush(self, now_ns: int) -> Merged | None:
-        """Return what has come and has not been sent, if there is any, whoever is missing."""
+        """Return what has come and has not been sent, if anything, though answers are missing."""
         if not self.has_begun or self.rounds.deadline_ns is None:
             return None
         self.rounds.forget()
@@ -428,7 +426,7 @@ class CommandMerger:
     def time_left(self, now_ns: int) -> float:
         """Return the time in [s] until :meth:`look` is due, if nothing comes until then.
 
-        Whoever asks promises to look then: who comes later stood still, and did not hear anybody.
+        The caller promises to look then: a later look means that this process stood still.
         """
         times = [
             heard_ns + timeout_ns + 1
@@ -478,7 +476,7 @@ class CommandMerger:
         return self.has_begun
 
     def _forgive(self, now_ns: int) -> None:
-        """Be patient again after having stood still: nobody could be heard meanwhile.
+        """Restart the timeouts after having stood still: no command could be received meanwhile.
 
         Only once until a joint commands again: a machine that is always late hides no silence.
         """
@@ -491,7 +489,7 @@ class CommandMerger:
             self._heard_ns[index] = now_ns
 
     def _fall_silent(self, now_ns: int) -> bool:
-        """Let joints fall back that have been silent for too long, and tell if there are any."""
+        """Let joints fall back that have been silent for too long; return whether any have."""
         before = len(self._silent)
         for index, joint in enumerate(self._joints):
             silence_ns = now_ns - self._heard_ns[index]

@@ -147,9 +147,9 @@ class GroupOutput:
 
 
 _LOOK_EVERY = 0.05  # [s]
-_LOOK_AGAIN = 0.002  # [s], while nobody knows whose a subscription is
+_LOOK_AGAIN = 0.002  # [s], while it is not known whose a subscription is
 _NAMED_WITHIN = 0.5  # [s]; then it is taken for the receiver's, which is asked again
-_NAMELESS = "_NODE_NAME_UNKNOWN_"  # of rmw, before a node has told which subscriptions it has
+_NAMELESS = "_NODE_NAME_UNKNOWN_"  # of rmw, before a node has published its subscriptions
 _ANSWER_WITHIN = 1.0  # [s]; then it is asked again
 _ASKED = ("joints", "interface_name")
 _ACTIVITY = "Controllers Activity"  # of a manager's diagnostics
@@ -301,7 +301,7 @@ def _from_diagnostics(
 
 
 _LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
-_BURST = 10  # zeros at once, where nobody may come back to repeat them
+_BURST = 10  # zeros at once, where none may follow
 _SHORTEST_WAIT_NS = 20_000  # of the timer
 _CLOSE_ENOUGH = 0.05  # of two waits, for which the timer stays as it is
 
@@ -348,7 +348,7 @@ class MergedStream:
         publisher = self.output.publisher
         return Sink(
             publisher,
-            # Nobody hears it before the merger has a receiver.
+            # There is no subscriber before the merger has a receiver.
             lambda: publisher.get_subscription_count() if self.merger is not None else 0,
             partial(self._take_on_any_thread, joint),
         )
@@ -422,7 +422,7 @@ class MergedStream:
 
     @contextlib.contextmanager
     def _sending(self) -> Iterator[None]:
-        """Hold the lock, or do without where whoever has it is stuck."""
+        """Hold the lock, or do without where its holder is stuck."""
         is_locked = self._lock.acquire(timeout=_LOCK_WITHIN)
         try:
             yield

@@ -85,7 +85,6 @@ class TrajectorySubscriptions:
         self._take = take
         self._taken: tuple[bool, bytes] | None = None
         self.subscriptions: list[Any] = []
-        """Both, for whoever ends them."""
         # Only the contract's profile may be overridden: both would have the same parameters.
         latched = node.create_subscription(
             JointTrajectoryMessage,
@@ -154,7 +153,7 @@ class ReferenceDecoder:
 def _attempt(raw: bytes) -> Decoded:
     try:
         return decode_trajectory(raw)
-    except Exception as error:  # of any kind: whoever takes it raises it where it is heard
+    except Exception as error:  # of any kind: raised where it is taken
         return error
 
 
