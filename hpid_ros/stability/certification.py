@@ -247,11 +247,7 @@ class CertificateSearch:
     """Finds certificates of one loop."""
 
     def __init__(
-        self,
-        gains: Gains,
-        inertia: float,
-        norm_of_degree: NormOfDegree,
-        first_degree: float = 0.0,
+        self, gains: Gains, inertia: float, norm_of_degree: NormOfDegree, first_degree: float = 0.0
     ) -> None:
         self._inertia = inertia
         self._effective = effective_gains(gains, inertia)

@@ -20,12 +20,7 @@ from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import Gains, HomogeneousPid, is_hurwitz
-from hpid_ros.control.norms import (
-    CanonicalNorm,
-    NormFamily,
-    NormType,
-    WeightedNorm,
-)
+from hpid_ros.control.norms import CanonicalNorm, NormFamily, NormType, WeightedNorm
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.certification import (
     best_spans,

@@ -131,11 +131,7 @@ def _stretch(series: JointSeries) -> tuple[float, tuple[Numbers, Numbers, Number
     sizes = [each.stop - each.start for each in parts]
     part = max(zip(travels, sizes, parts, strict=True), key=lambda t: (t[0] * t[1], t[1]))[2]
     part = _moving(reference, part, math.ceil(_REST / period))
-    return period, (
-        reference[part],
-        series.effort[commands[part]],
-        series.position[states[part]],
-    )
+    return period, (reference[part], series.effort[commands[part]], series.position[states[part]])
 
 
 def _moving(reference: Numbers, part: slice, rest: int) -> slice:

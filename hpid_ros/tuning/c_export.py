@@ -58,7 +58,7 @@ _OF_THE_NODE = {"joint", "state_clock"}
 
 _IN_C = {
     "encoder_wrap": "The encoder begins anew after so much [rad], as a driver does that reports "
-    "(-pi, pi] or [0, 2 pi); 0 and -1 never",
+    "(-pi, pi] or [0, 2 pi); 0 and -1 never"
 }
 """What is said differently of parameters whose meaning in ROS has to do with its surroundings."""
 
@@ -145,7 +145,7 @@ _PRECISIONS = 2.0**29  # a last place in single precision, in those of double pr
 
 @dataclass
 class GivenReference:
-    """A reference that is told again with each state, as a firmware does.
+    """A reference that is set again with each state, as a firmware does.
 
     It is under way whenever a loop takes it up, so that the loop glides onto it.
     """
@@ -154,28 +154,22 @@ class GivenReference:
     velocity: float = 0.0  # [rad/s]
 
     def start(self, now_ns: int, position: float, velocity: float) -> GivenReference:
-        """Return itself: it is what it was told, at all times."""
         return self
 
     def is_under_way(self, now_ns: int) -> bool:
-        """Return True."""
         return True
 
     def target(self, now_ns: int) -> float:
-        """Return the position that was told last, in [rad]."""
         return self.position
 
     def sample(self, stamp_ns: int) -> tuple[float, float, float]:
-        """Return position, velocity and no acceleration."""
         return self.position, self.velocity, 0.0
 
     @property
     def gives_effort(self) -> bool:
-        """Return False."""
         return False
 
     def effort(self, stamp_ns: int) -> float:
-        """Return 0."""
         return 0.0
 
 
@@ -188,24 +182,12 @@ class GivenLoop:
         self.loop.follow(self._reference)
 
     def step(
-        self,
-        stamp_ns: int,
-        reference: float,
-        rate: float,
-        position: float,
-        velocity: float | None,
+        self, stamp_ns: int, reference: float, rate: float, position: float, velocity: float | None
     ) -> float:
-        """Take one state and return the effort that answers it in [N m].
+        """Return the effort that answers a state, in [N m].
 
         A reference that is no joint's makes the state one that cannot be used: Python's motions
         have none, they are checked before.
-
-        Args:
-            stamp_ns: In [ns].
-            reference: Where the joint should be, in [rad].
-            rate: How fast, in [rad/s].
-            position: Measured, in [rad].
-            velocity: Measured, in [rad/s]; None where it is not.
         """
         if not all(-LARGEST_POSITION <= each <= LARGEST_POSITION for each in (reference, rate)):
             return self.loop.reject(stamp_ns, f"reference {reference} rad, {rate} rad/s")

@@ -71,7 +71,7 @@ class Controller(NamedTuple):
     def changed(self, values: Mapping[str, Any], settings: LoopSettings) -> LoopSettings:
         """Return settings after a change, as the controller makes them."""
         changed = LoopSettings.from_parameters({**settings.to_parameters(), **values})
-        return _in_force(changed, self.limits, self.robot)
+        return _as_applied(changed, self.limits, self.robot)
 
 
 def controllers_of(document: object, where: str, namespace: str = "") -> dict[str, Controller]:
@@ -90,7 +90,7 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
         own = {**everywhere, **sections.get(node, {})}
         robot = str(own.get("robot_description", ""))
         limits = _limits(robot, settings.joint)
-        settings = _in_force(settings, limits, robot)
+        settings = _as_applied(settings, limits, robot)
         if settings.joint in controllers:
             raise SettingError(
                 f"{where} has two controllers of {settings.joint!r}: {names[settings.joint]} and "
@@ -105,7 +105,7 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
     return controllers
 
 
-def _in_force(settings: LoopSettings, limits: RobotLimits, robot: str) -> LoopSettings:
+def _as_applied(settings: LoopSettings, limits: RobotLimits, robot: str) -> LoopSettings:
     """Return settings as a controller applies them."""
     settings = limits.within(settings)
     if not settings.model.is_on:
@@ -126,13 +126,12 @@ def _limits(robot: str, joint: str) -> RobotLimits:
 def recorded_controllers(path: Path, parameters: Path | None = None) -> dict[str, Controller]:
     """Return the controllers that ran while a bag was recorded, as they began, by joint."""
     with Storage(path) as bag:
-        return controllers_in(bag, parameters)
+        return _controllers_in(bag, parameters)
 
 
-def controllers_in(
+def _controllers_in(
     bag: Storage, parameters: Path | None, namespace: str = ""
 ) -> dict[str, Controller]:
-    """Return the same of a bag that is open, and of a namespace."""
     if parameters is not None:
         document = load_yaml(parameters, SettingError)
         return controllers_of(document, str(parameters), namespace)
@@ -154,8 +153,8 @@ def controllers_in(
 def _declared(bag: Storage) -> dict[str, Any]:
     """Return the parameters that controllers declared while the bag was recorded."""
     declared: dict[str, dict[str, Any]] = {}
-    for told in parameter_changes(bag):
-        declared.setdefault(told.node, {}).update(told.declared)
+    for event in parameter_changes(bag):
+        declared.setdefault(event.node, {}).update(event.declared)
     return {
         node: {
             "ros__parameters": {name: value for name, value in own.items() if value is not None}
@@ -177,6 +176,11 @@ class _Joint:
     instructions: list[Instruction] = field(default_factory=list)
     permissions: list[tuple[int, bool]] = field(default_factory=list)
     """Where in the log ``allow_relay`` was set, and to what."""
+
+    def instruct(
+        self, log_time_ns: int, place: int, what: Callable[[JointLoop], None], text: str
+    ) -> None:
+        self.instructions.append(Instruction(log_time_ns, place, what, text))
 
     def relay(self, place: int, request: RelayRequest | None, loop: JointLoop) -> None:
         """Do what a message on ``~/relay`` asks for, as the controller does."""
@@ -206,8 +210,9 @@ def read_records(
                 f"the state that they answer{_without_stamps(choice)}; topics: "
                 + ", ".join(sorted(types))
             )
-        namespace = _namespace(selection)
-        controllers = controllers_in(bag, parameters, namespace)
+        asked = selection.namespace if selection is not None else None
+        namespace = f"/{asked.strip('/')}" if asked else ""
+        controllers = _controllers_in(bag, parameters, namespace)
         wanted = list(controllers) if joints is None else list(joints)
         for joint in wanted:
             if joint not in controllers:
@@ -230,11 +235,6 @@ def read_records(
             commanded += f" ({note})"
         raise BagError(f"{where}: no command for {', '.join(wanted)}; commanded: {commanded}")
     return records, [*unreadable, *collected.notes]
-
-
-def _namespace(selection: BagSelection | None) -> str:
-    asked = selection.namespace if selection is not None else None
-    return f"/{asked.strip('/')}" if asked else ""
 
 
 def _without_stamps(choice: TopicChoice) -> str:
@@ -274,7 +274,7 @@ class _Collector:
             (self._take_setpoints, tuple(choice.references.setpoint.values())),
             (self._take_relays, choice.relays),
         ):
-            joints = {topic: self._told_by(topic) for topic in own}
+            joints = {topic: self._joint_of_topic(topic) for topic in own}
             self._takes |= {
                 topic: partial(take, joint) for topic, joint in joints.items() if joint is not None
             }
@@ -290,7 +290,6 @@ class _Collector:
         return list(self._notes)
 
     def take(self, batch: TopicBatch) -> None:
-        """Take messages of one topic."""
         self._takes[batch.topic](batch)
 
     def records(self, *, is_asked_for: bool) -> Iterator[JointRecord]:
@@ -305,22 +304,17 @@ class _Collector:
                 sorted(each.commands, key=_place),
                 sorted(each.instructions, key=_place),
                 min(begins, default=0),
-                self._is_slide(each.controller),
+                each.controller.limits.is_slide or each.controller.settings.joint in self._slides,
             )
 
-    def _told_by(self, topic: str) -> _Joint | None:
+    def _joint_of_topic(self, topic: str) -> _Joint | None:
         """Return the joint whose controller hears a topic of its own."""
         node = last_part(namespace_of(topic))
         own = [each for each in self._joints.values() if each.controller.node == node]
         return own[0] if own else self._joints.get(joint_of(topic))
 
-    def _is_slide(self, controller: Controller) -> bool:
-        return controller.limits.is_slide or controller.settings.joint in self._slides
-
     def _take_states(self, batch: TopicBatch) -> None:
-        log_times, places = batch.log_times_ns.tolist(), batch.places.tolist()
-        for index, (log_time_ns, place) in enumerate(zip(log_times, places, strict=True)):
-            raw = batch.raw(index)
+        for log_time_ns, place, raw in _messages(batch):
             for name, joint in self._joints.items():
                 try:
                     sample = joint.reader.read(raw)
@@ -337,9 +331,9 @@ class _Collector:
         return _ModelAnswer(joint.model, self._robots[name], sample, raw)
 
     def _take_commands(self, batch: TopicBatch) -> None:
-        for index, place in enumerate(batch.places.tolist()):
+        for _, place, raw in _messages(batch):
             try:
-                stamp_ns, names, efforts = self._efforts.read(batch.raw(index))
+                stamp_ns, names, efforts = self._efforts.read(raw)
             except MessageError as error:
                 self._notes[f"a command was left out: {error}"] = None
                 continue
@@ -350,10 +344,9 @@ class _Collector:
                     self._joints[name].commands.append(command)
 
     def _take_trajectories(self, batch: TopicBatch) -> None:
-        for index, place in enumerate(batch.places.tolist()):
-            log_time_ns = int(batch.log_times_ns[index])
+        for log_time_ns, place, raw in _messages(batch):
             try:
-                places, column = decoded_trajectory(batch.raw(index))
+                places, column = decoded_trajectory(raw)
             except HpidError as error:
                 self._notes[f"a trajectory was left out, as controllers refuse it: {error}"] = None
                 continue
@@ -363,43 +356,36 @@ class _Collector:
                         motion = column(name, places[name])
                     except HpidError as error:
                         self._notes[f"a trajectory was left out: {error}"] = None
-                        continue
-                    joint.instructions.append(
-                        Instruction(log_time_ns, place, following(motion), "a trajectory")
-                    )
+                    else:
+                        joint.instruct(log_time_ns, place, following(motion), "a trajectory")
 
     def _take_setpoints(self, joint: _Joint, batch: TopicBatch) -> None:
-        for index, place in enumerate(batch.places.tolist()):
+        for log_time_ns, place, raw in _messages(batch):
             try:
-                motion = Setpoint(decode_float64(batch.raw(index)))
+                motion = Setpoint(decode_float64(raw))
             except HpidError as error:
                 self._notes[f"a setpoint was left out, as controllers refuse it: {error}"] = None
-                continue
-            joint.instructions.append(
-                Instruction(int(batch.log_times_ns[index]), place, following(motion), "a setpoint")
-            )
+            else:
+                joint.instruct(log_time_ns, place, following(motion), "a setpoint")
 
     def _take_relays(self, joint: _Joint, batch: TopicBatch) -> None:
-        for index, place in enumerate(batch.places.tolist()):
+        for log_time_ns, place, raw in _messages(batch):
             try:
-                request = RelayRequest.asked(decode_numbers(batch.raw(index)))
+                request = RelayRequest.asked(decode_numbers(raw))
             except HpidError as error:
                 self._notes[f"a relay was left out, as controllers refuse it: {error}"] = None
-                continue
-            what = partial(joint.relay, place, request)
-            text = "the end of a relay" if request is None else "a relay"
-            joint.instructions.append(
-                Instruction(int(batch.log_times_ns[index]), place, what, text)
-            )
+            else:
+                text = "the end of a relay" if request is None else "a relay"
+                joint.instruct(log_time_ns, place, partial(joint.relay, place, request), text)
 
     def _take_events(self, batch: TopicBatch) -> None:
-        for index, place in enumerate(batch.places.tolist()):
-            told = read_event(batch.raw(index))
-            if told is not None and is_below(told.node, self._namespace):
-                self._take_change(int(batch.log_times_ns[index]), place, told)
+        for log_time_ns, place, raw in _messages(batch):
+            event = read_event(raw)
+            if event is not None and is_below(event.node, self._namespace):
+                self._take_change(log_time_ns, place, event)
 
-    def _take_change(self, log_time_ns: int, place: int, told: ParameterEvent) -> None:
-        node, _, changed = told
+    def _take_change(self, log_time_ns: int, place: int, event: ParameterEvent) -> None:
+        node, _, changed = event
         values = {name: value for name, value in changed.items() if name in LOOP_PARAMETERS}
         is_allowed = changed.get(ALLOW_RELAY)
         for joint in self._joints.values():
@@ -408,12 +394,18 @@ class _Collector:
             if isinstance(is_allowed, bool):
                 joint.permissions.append((place, is_allowed))
             if is_allowed is False:
-                text = f"{ALLOW_RELAY} = False"
-                joint.instructions.append(Instruction(log_time_ns, place, driven(None), text))
+                joint.instruct(log_time_ns, place, driven(None), f"{ALLOW_RELAY} = False")
             if values:
                 text = ", ".join(f"{name} = {value}" for name, value in values.items())
                 change = partial(joint.controller.changed, values)
-                joint.instructions.append(Instruction(log_time_ns, place, retuned(change), text))
+                joint.instruct(log_time_ns, place, retuned(change), text)
+
+
+def _messages(batch: TopicBatch) -> Iterator[tuple[int, int, bytes]]:
+    """Yield log time [ns], place in the log and content of each message."""
+    times = zip(batch.log_times_ns.tolist(), batch.places.tolist(), strict=True)
+    for index, (log_time_ns, place) in enumerate(times):
+        yield log_time_ns, place, batch.raw(index)
 
 
 def _place(each: RecordedState | RecordedCommand | Instruction) -> int:

@@ -150,13 +150,7 @@ class Grid(NamedTuple):
 
 
 def _convolved(
-    cells: Numbers,
-    kernel: Kernel,
-    order: int,
-    grid: Grid,
-    begin: int,
-    stride: int,
-    rows: int,
+    cells: Numbers, kernel: Kernel, order: int, grid: Grid, begin: int, stride: int, rows: int
 ) -> Numbers:
     taps = kernel.taps(grid.offsets, grid.length, order)
     needed = cells[begin - grid.reach : begin + grid.reach + stride * (rows - 1) + 1]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, is_dataclass
@@ -139,11 +140,6 @@ _BEGUN_BEFORE = (
 _CONTEXT = 1.0  # [s] within which something that happened may be the reason of a difference
 
 
-class _Command(NamedTuple):
-    effort: float
-    sender: str
-
-
 class _Branch:
     """One possible course of the controller."""
 
@@ -176,16 +172,6 @@ def _keep(record: object, memo: dict[int, Any]) -> None:
                 _keep(value, memo)
 
 
-@dataclass
-class _Counts:
-    equal: int = 0
-    different: int = 0
-    unanswered: int = 0
-    zeros: int = 0
-    fallbacks: int = 0
-    foreign: int = 0
-
-
 def replay_joint(record: JointRecord) -> JointVerdict:
     """Compute every command of one joint again, and compare it to the last bit."""
     verdict = JointVerdict(record.settings.joint, is_slide=record.is_slide)
@@ -201,16 +187,15 @@ def replay_joint(record: JointRecord) -> JointVerdict:
 class _Replay:
     def __init__(self, record: JointRecord, apart: int) -> None:
         self._record, self._apart = record, apart
-        self._counts = _Counts()
+        self._counts = Counter[str]()  # by the names of a verdict's fields
         self._differences: list[Difference] = []
         self._stretch: Difference | None = None
         self._happened: tuple[int, str] = (record.begin_ns, "")
         self._senders = tuple(dict.fromkeys(each.sender for each in record.commands))
         self._sender = self._senders[0] if self._senders else ""
         stamps = {each.stamp_ns for each in record.states}
-        self._answers: dict[int, list[_Command]] = {}
-        self._beside: dict[int, list[_Command]] = {}
-        self._without_state = self._outside = 0
+        self._answers: dict[int, list[RecordedCommand]] = {}
+        self._unsolicited: dict[int, list[RecordedCommand]] = {}
         self._is_begun_before = False
         for command in record.commands:
             self._sort(command, stamps)
@@ -221,21 +206,19 @@ class _Replay:
         self._log_time_ns: int | None = None
 
     def _sort(self, command: RecordedCommand, stamps: set[int]) -> None:
-        """Put a command to the state that it answers, or beside which it was given."""
-        entry = _Command(command.effort, command.sender)
-        stamp_ns = command.stamp_ns
+        """Put a command to the state that it answers, or next to which it was sent."""
+        stamp_ns, states = command.stamp_ns, self._record.states
         if stamp_ns in stamps:
-            self._answers.setdefault(stamp_ns, []).append(entry)
+            self._answers.setdefault(stamp_ns, []).append(command)
             return
         near = next((each for each in (stamp_ns - 1, stamp_ns + 1) if each in stamps), None)
-        states = self._record.states
-        if near is None and not (states and states[0].stamp_ns < stamp_ns < states[-1].stamp_ns):
-            self._outside += 1
-            self._is_begun_before |= bool(states) and stamp_ns < states[0].stamp_ns
-        elif near is None:
-            self._without_state += 1
+        if near is not None:
+            self._unsolicited.setdefault(near, []).append(command)
+        elif states and states[0].stamp_ns < stamp_ns < states[-1].stamp_ns:
+            self._counts["without_state"] += 1
         else:
-            self._beside.setdefault(near, []).append(entry)
+            self._counts["outside"] += 1
+            self._is_begun_before |= bool(states) and stamp_ns < states[0].stamp_ns
 
     def verdict(self) -> JointVerdict:
         has_begun = False
@@ -244,24 +227,17 @@ class _Replay:
             if has_begun:
                 self._take(index, state)
         self._agree()
-        counts, notes = self._counts, dict.fromkeys(self._branches[0].notes)
+        notes = dict.fromkeys(self._branches[0].notes)
         if self._is_begun_before:
             notes[_BEGUN_BEFORE] = None
         return JointVerdict(
             self._record.settings.joint,
-            equal=counts.equal,
-            different=counts.different,
             differences=tuple(self._differences),
-            unanswered=counts.unanswered,
-            without_state=self._without_state,
-            outside=self._outside,
-            zeros=counts.zeros,
-            fallbacks=counts.fallbacks,
-            foreign=counts.foreign,
             senders=tuple(each for each in self._senders if each),
             notes=tuple(notes),
             is_slide=self._record.is_slide,
             is_begun_before=self._is_begun_before,
+            **self._counts,
         )
 
     def _take(self, index: int, state: RecordedState) -> None:
@@ -281,7 +257,7 @@ class _Replay:
 
     def _pass_over(self, index: int, state: RecordedState) -> None:
         """Take a state that nothing answers: it was not heard, or the command was lost."""
-        self._counts.unanswered += 1
+        self._counts["unanswered"] += 1
         if self._is_left:
             return
         self._happened = state.stamp_ns, "a state that no command answers"
@@ -314,7 +290,7 @@ class _Replay:
             branch.effort = state.answer(branch.loop)
         equal = [branch for branch in branches if _is_same(branch.effort, recorded)]
         if equal:
-            self._counts.equal += 1
+            self._counts["equal"] += 1
             self._agree()
             self._keep(equal)
             return
@@ -323,7 +299,7 @@ class _Replay:
 
     def _differ(self, state: RecordedState, recorded: float, computed: float) -> None:
         """Note a difference, or that one goes on."""
-        self._counts.different += 1
+        self._counts["different"] += 1
         stamp_ns = state.stamp_ns
         if self._stretch is not None:
             commands = self._stretch.commands + 1
@@ -341,20 +317,20 @@ class _Replay:
             self._differences.append(self._stretch)
         self._stretch = None
 
-    def _after(self, state: RecordedState, others: Sequence[_Command]) -> None:
-        """Take what was commanded beside the answer: repeats, a last zero, a fallback."""
+    def _after(self, state: RecordedState, others: Sequence[RecordedCommand]) -> None:
+        """Take what was commanded next to the answer: repeats, a last zero, a fallback."""
         for command in others:
             if command.sender != self._sender:
-                self._counts.foreign += 1
+                self._counts["foreign"] += 1
                 self._happened = state.stamp_ns, f"a command by {command.sender or 'another'}"
             elif command.effort == 0.0:
-                self._counts.zeros += 1
+                self._counts["zeros"] += 1
                 self._is_left = True
                 self._happened = state.stamp_ns, "the joint was left"
             else:
                 self._differ(state, command.effort, self._branches[0].effort)
-        for command in self._beside.get(state.stamp_ns, ()):
-            self._counts.fallbacks += 1
+        for command in self._unsolicited.get(state.stamp_ns, ()):
+            self._counts["fallbacks"] += 1
             unit = "N" if self._record.is_slide else "N m"
             self._happened = state.stamp_ns, f"{command.effort:g} {unit} that answers no state"
             for branch in self._branches:

@@ -39,10 +39,7 @@ TRUTH = {
 }
 NOISE = 3e-6  # [rad]
 DELAY = 1  # control periods
-GAINS = {
-    "shoulder": {"p": 80.0, "i": 240.0, "d": 8.0},
-    "elbow": {"p": 16.0, "i": 50.0, "d": 1.6},
-}
+GAINS = {"shoulder": {"p": 80.0, "i": 240.0, "d": 8.0}, "elbow": {"p": 16.0, "i": 50.0, "d": 1.6}}
 
 
 def experiment(folder, name, controllers, seed):
@@ -59,11 +56,7 @@ def experiment(folder, name, controllers, seed):
         "simulation": {"engine": "mujoco"},
         "sensors": {"noise": NOISE, "encoder_counts": 2**21},
         "actuators": {"delay": DELAY},
-        "reference": {
-            "kind": "step",
-            "times": [float(k) for k in range(8)],
-            "positions": places,
-        },
+        "reference": {"kind": "step", "times": [float(k) for k in range(8)], "positions": places},
         "controllers": {"joints": controllers},
         "compare": {"one": {}, "other": {}},
     }

@@ -78,10 +78,7 @@ def add(commands: Any) -> None:
     )
     written.add_argument("--json", type=Path, metavar="FILE", help="every number")
     written.add_argument(
-        "--plot",
-        type=Path,
-        metavar="FILE",
-        help="predicted and measured efforts: png, pdf, svg",
+        "--plot", type=Path, metavar="FILE", help="predicted and measured efforts: png, pdf, svg"
     )
     written.add_argument("--force", action="store_true", help="replace files that exist")
     parser.set_defaults(command=run)

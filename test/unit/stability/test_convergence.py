@@ -22,10 +22,7 @@ DIRECTIONS = ((0.3, -1.0, 0.5), (0.0, 0.0, 1.0))
 
 
 def norms(degree):
-    return (
-        WeightedNorm(degree, 1.0, 1.0),
-        CanonicalNorm(degree, ((1.0, 0.2), (0.2, 1.0))),
-    )
+    return (WeightedNorm(degree, 1.0, 1.0), CanonicalNorm(degree, ((1.0, 0.2), (0.2, 1.0))))
 
 
 class Transient:

@@ -10,10 +10,7 @@ from hypothesis import strategies as st
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
 from hpid_ros.control.homogeneous_pid import is_hurwitz
-from hpid_ros.stability.certification import (
-    certified_degree_interval,
-    verify_certificate,
-)
+from hpid_ros.stability.certification import certified_degree_interval, verify_certificate
 from hpid_ros.stability.gain_check import (
     decay_time,
     integral_ratio,
