@@ -104,14 +104,14 @@ class Finding(NamedTuple):
         name: Of the parameter.
         error: Relative; of a delay in control periods.
         is_inside: Whether the interval contains the truth.
-        is_told: Whether the data are said to tell it.
+        is_reliable: Whether the data are said to tell it.
     """
 
     joint: str
     name: str
     error: float
     is_inside: bool
-    is_told: bool
+    is_reliable: bool
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -151,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _row(robot: str, name: str, found: Sequence[Finding]) -> str:
-    told = [each for each in found if each.is_told]
+    told = [each for each in found if each.is_reliable]
     errors = np.abs([each.error for each in told]) if told else np.full(1, np.nan)
     scale, unit = (1.0, " T") if name == DELAY else (100.0, " %")
     within = np.mean(errors <= _LIMITS[name])
@@ -306,7 +306,7 @@ def _beside_truth(drawn: Drawn, found: JointIdentification, is_alone: bool) -> I
         size = {DELAY: PERIOD, INERTIA: moved}.get(name, true)
         error = (estimate.value - true) / size
         is_inside = estimate.low <= true <= estimate.high
-        yield Finding(found.joint, name, error, is_inside, estimate.is_told)
+        yield Finding(found.joint, name, error, is_inside, estimate.is_reliable)
 
 
 def _moved_inertia(drawn: Drawn, joint: str) -> float:

@@ -467,7 +467,7 @@ def relay_findings(bag: Path, controller: Controller, planned: PlannedRelay) -> 
     gains, request = controller.settings.gains, planned.request
     cycle = relay_cycle(record, request.amplitude, request.hysteresis, gains.d / gains.p)
     identified = identify([record])[0]
-    inertia, delay = identified.told(INERTIA), identified.told(DELAY)
+    inertia, delay = identified.reliable(INERTIA), identified.reliable(DELAY)
     if inertia is not None and inertia.low > 0.0:
         bounds = inertia.low, inertia.high
     elif cycle.inertia > 0.0:

@@ -105,7 +105,7 @@ class Certifier:
             return
         self._child_of = _key(settings)
         assert self._child.stdin is not None
-        # Its end tells of a child that died before it could read.
+        # Its exit code shows a child that died before it could read.
         with contextlib.suppress(BrokenPipeError), self._child.stdin as stdin:
             json.dump(settings.to_parameters(), stdin)
 

@@ -55,7 +55,7 @@ class LoopKind(NamedTuple):
 
 
 def certified_degrees(
-    loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
+    loops: Sequence[Loop], progress: Callable[[Sequence[str]], None] = lambda joints: None
 ) -> list[DegreeInterval | GainError]:
     """Certify many loops, see :func:`.certified_degree_interval`."""
     found: list[DegreeInterval | GainError | None] = [None] * len(loops)
@@ -65,7 +65,7 @@ def certified_degrees(
             require_certifiable(settings.gains, inertia)
         except GainError as error:
             found[place] = error
-            tell([settings.joint])
+            progress([settings.joint])
         else:
             places.setdefault(kind_of(settings, inertia), []).append(place)
     kinds = list(places)
@@ -73,7 +73,7 @@ def certified_degrees(
         kind = kinds[number]
         for place in places[kind]:
             found[place] = _in_physical_units(interval, *loops[place])
-        tell([loops[place][0].joint for place in places[kind]])
+        progress([loops[place][0].joint for place in places[kind]])
     return [each for each in found if each is not None]
 
 
@@ -304,7 +304,7 @@ class GainVerdict:
 
 
 def check_gains(
-    loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
+    loops: Sequence[Loop], progress: Callable[[Sequence[str]], None] = lambda joints: None
 ) -> list[GainVerdict]:
     """Judge several loops, side by side on the machine's cores."""
     for settings, inertia in loops:
@@ -314,7 +314,7 @@ def check_gains(
                 f"the inertia of {settings.joint!r} must be positive and finite, its least value "
                 f"not above its largest, not {low} to {high} kg m^2"
             )
-    found = certified_degrees(loops, tell)
+    found = certified_degrees(loops, progress)
     tasks = [(*loop, each) for loop, each in zip(loops, found, strict=True)]
     verdicts = dict(side_by_side(_verdict, tasks, name=lambda task: task[0].joint))
     return [verdicts[place] for place in range(len(tasks))]

@@ -1,4 +1,4 @@
-r"""Margins of one loop beside what is certified and what was measured.
+r"""Margins of one loop with what is certified and what was measured.
 
 Reference r, effort u and position q of a closed loop are correlated with the reference, which
 the noise is not (joint input-output method):

@@ -1,4 +1,4 @@
-r"""What a relay's limit cycle tells of a joint: ultimate gain and period, inertia, damping.
+r"""A joint by a relay's limit cycle: ultimate gain and period, inertia, damping; gains by SIMC.
 
 Over whole cycles the first harmonics U of the effort and Y of the position are
 

@@ -222,7 +222,7 @@ def design(
     rule: str,
     closed_loop_time: float,
     delay: float,
-    tell: Callable[[Sequence[str]], None] = lambda joints: None,
+    progress: Callable[[Sequence[str]], None] = lambda joints: None,
 ) -> dict[str, DesignedGains]:
     """Return the joints' gains by a rule, judged."""
     if rule not in RULES:
@@ -234,7 +234,7 @@ def design(
         gains = Gains(*(_rounded(each, _GAIN_DIGITS) for each in (exact.p, exact.i, exact.d)))
         # The settings may hold other gains, which go with another inertia.
         judged.append((replace(settings, gains=gains, inertia=inertia), (inertia, inertia)))
-    found = certified_degrees(judged, tell)
+    found = certified_degrees(judged, progress)
     return {
         joint: _designed(*loop, each, delay)
         for joint, loop, each in zip(loops, judged, found, strict=True)

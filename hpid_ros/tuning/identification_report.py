@@ -90,7 +90,7 @@ def _amendment(
     entries, notes = [], []
     for name, key in names.items():
         estimate = each.estimates.get(name)
-        if estimate is not None and estimate.is_told:
+        if estimate is not None and estimate.is_reliable:
             reason = interval(estimate, unit(name, is_slide))
             if key == "rotor_inertia":
                 entries.append(f"gear_ratio: {_number(ratio)}  # {whose}; only Jr N^2 is known")
@@ -98,7 +98,7 @@ def _amendment(
             value = estimate.value / (ratio**2 if key == "rotor_inertia" else 1.0)
             entries.append(f"{key}: {_number(value)}  # {reason}")
         else:
-            why = each.untold.get(name) or each.untold.get(each.joint) or "not looked for"
+            why = each.unreliable.get(name) or each.unreliable.get(each.joint) or "not looked for"
             notes.append(f"# {key} is not told: {_one_line(why)}")
     if entries:
         yield f"    {_quoted(each.joint)}:"
@@ -111,7 +111,7 @@ def _amendment(
 def _inertia(
     each: JointIdentification, moved: MovedInertia | None, is_slide: bool
 ) -> Iterator[str]:
-    estimate, kind = each.told(INERTIA), unit(INERTIA, is_slide)
+    estimate, kind = each.reliable(INERTIA), unit(INERTIA, is_slide)
     if moved is not None and estimate is not None:
         value = moved.mean
         reason = (
@@ -261,7 +261,7 @@ def _write_remarks(panel: Axes, each: JointIdentification) -> None:
     lines = [line for remark in each.remarks for line in _wrapped(remark)]
     lines += [
         line
-        for what, reason in each.untold.items()
+        for what, reason in each.unreliable.items()
         for line in _wrapped(reason if what == each.joint else f"{what}: {reason}")
     ]
     text = "\n".join(map(figure_text, lines or ["everything that was asked is told"]))
@@ -382,8 +382,8 @@ def _of_joint(each: JointIdentification, is_slide: bool) -> Iterator[str]:
         yield f"{name}:"
     yield from (f"  {shown(line)}" for line in each.remarks)
     yield from (f"  {line}" for line in _further(each, is_slide))
-    for reason in dict.fromkeys(each.untold.values()):
-        names = [name for name, why in each.untold.items() if why == reason]
+    for reason in dict.fromkeys(each.unreliable.values()):
+        names = [name for name, why in each.unreliable.items() if why == reason]
         if names == [each.joint]:
             yield f"  nothing found: {reason}"
         else:
@@ -414,7 +414,7 @@ def _further(each: JointIdentification, is_slide: bool) -> Iterator[str]:
 
 def _plain(estimate: Estimate, factor: float = 1.0) -> str:
     text = with_interval(factor * estimate.value, factor * estimate.half_width)
-    return text if estimate.is_told else f"({text})"
+    return text if estimate.is_reliable else f"({text})"
 
 
 def _words(name: str) -> str:
@@ -441,7 +441,7 @@ def as_mapping(found: RobotIdentification) -> dict[str, Any]:
                 for name, estimate in each.estimates.items()
             },
             "moved_inertia": None if moved is None else moved._asdict(),
-            "not_told": dict(each.untold),
+            "not_told": dict(each.unreliable),
             "remarks": list(each.remarks),
             "effort": found.sources.get(each.joint, ""),
             **{name: getattr(each, name) for name in facts},

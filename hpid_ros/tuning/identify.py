@@ -69,7 +69,7 @@ RigidBody = Callable[[Numbers, Numbers, Numbers], Numbers]
 """Efforts that rigid bodies need, (K, R), in [N m], for the positions, velocities and
 accelerations of K joints at R rows, each (K, R); without rotors and friction."""
 Spin = Callable[[Numbers, Numbers, Numbers, Numbers], Numbers]
-"""Efforts that rotors need beside their reflected inertia, because they spin on links that move,
+"""Efforts that rotors need besides their reflected inertia, because they spin on links that move,
 (K, R), in [N m]: for the same motion, and the reflected inertias of K rotors, (K,)."""
 
 _CUTOFFS = (20.0, 16.0, 12.5, 10.0, 8.0, 6.3, 5.0, 4.0, 3.15, 2.5, 2.0, 1.6, 1.25, 1.0)
@@ -164,7 +164,7 @@ def _with_spin(
     """Identify joints once more where rotors that are known now may pull at them."""
     rotors = np.zeros(count)
     for place, each in found.items():
-        estimate = each.told(INERTIA)
+        estimate = each.reliable(INERTIA)
         rotors[place] = estimate.value if estimate is not None else 0.0
     again = {}
     for place, own in prepared.items():

@@ -51,10 +51,10 @@ def predict(
     recorded: Sequence[JointSeries],
     fixed_base: bool = False,
     initial_positions: Mapping[str, float] | None = None,
-    tell: Callable[[str], None] = lambda label: None,
+    progress: Callable[[str], None] = lambda label: None,
 ) -> Comparison:
     """Simulate controllers on a robot, as :func:`simulate` does, and compare them."""
-    runs = simulate(robot, loops, recorded, fixed_base, initial_positions, tell=tell)
+    runs = simulate(robot, loops, recorded, fixed_base, initial_positions, progress=progress)
     return Comparison(tuple(run_indices(each) for each in runs))
 
 
@@ -69,7 +69,7 @@ def simulate(
     period: float | None = None,
     has_velocities: bool = False,
     engine: str | None = None,
-    tell: Callable[[str], None] = lambda label: None,
+    progress: Callable[[str], None] = lambda label: None,
 ) -> list[RunSeries]:
     """Simulate controllers on a robot, side by side on the machine's cores.
 
@@ -108,7 +108,7 @@ def simulate(
     work = partial(_run, world=world, motions=motions, periods=periods)
     for place, run in side_by_side(work, list(loops.items()), name=itemgetter(0)):
         found[place] = run
-        tell(run.label)
+        progress(run.label)
     return [found[place] for place in range(len(loops))]
 
 
@@ -158,8 +158,8 @@ def recorded_motion(joint: str, times_ns: NDArray[np.int64], reference: Numbers)
     ramp from one sample to the next would have a velocity that nobody was asked to follow.
     """
     steps = np.abs(np.diff(reference))
-    beside = np.maximum(np.append(steps[1:], 0.0), np.append(0.0, steps[:-1]))
-    jumps = np.flatnonzero(steps > np.maximum(_JUMP * beside, _LEAST_JUMP)) + 1
+    near = np.maximum(np.append(steps[1:], 0.0), np.append(0.0, steps[:-1]))
+    jumps = np.flatnonzero(steps > np.maximum(_JUMP * near, _LEAST_JUMP)) + 1
     knots: list[Knot] = []
     for times, values in zip(np.split(times_ns, jumps), np.split(reference, jumps), strict=True):
         if knots:

@@ -308,7 +308,7 @@ class _Collector:
             )
 
     def _joint_of_topic(self, topic: str) -> _Joint | None:
-        """Return the joint whose controller hears a topic of its own."""
+        """Return the joint whose controller subscribes to a topic of its own."""
         node = last_part(namespace_of(topic))
         own = [each for each in self._joints.values() if each.controller.node == node]
         return own[0] if own else self._joints.get(joint_of(topic))

@@ -45,7 +45,7 @@ GRAVITY_COS = "gravity_cos"
 EFFORT_SCALE = "effort_scale"
 DELAY = "delay"
 SPIN = "spin"
-"""Beside the parameters: how much of the effort is there that rotors need beside their inertia."""
+"""No parameter: how much there is of the effort that rotors need besides their inertia."""
 
 PARAMETERS: Mapping[str, tuple[str, str]] = {
     INERTIA: ("kg m^2", "kg"),
@@ -80,8 +80,8 @@ class Estimate:
         return self.value + self.half_width
 
     @property
-    def is_told(self) -> bool:
-        """Whether the data tell it."""
+    def is_reliable(self) -> bool:
+        """Whether it can be relied on."""
         return not self.reason
 
     @property
@@ -332,7 +332,7 @@ class Terms(NamedTuple):
     reference: Numbers  # what the reference and friction did, (B, R)
     # smoothed column of Stribeck friction, (R,), for a Stribeck speed [rad/s]
     stribeck: Callable[[float], Numbers]
-    spin: Numbers | None = None  # effort that rotors need beside their inertia, (R,)
+    spin: Numbers | None = None  # effort that rotors need besides their inertia, (R,)
 
     @classmethod
     def of(
@@ -370,7 +370,7 @@ class Model(NamedTuple):
     has_delay: bool = True  # what is left of the delay is sought, too
     has_scale: bool = False  # the rigid bodies' effort has a coefficient
     stribeck_speed: float = 0.0  # [rad/s] zero for none
-    has_spin: bool = False  # the effort that rotors need beside their inertia has a coefficient
+    has_spin: bool = False  # the effort that rotors need besides their inertia has a coefficient
 
 
 class Equation:

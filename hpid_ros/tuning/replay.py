@@ -1,10 +1,10 @@
 """A recorded joint computed again: the record, the same loop, the verdict.
 
-What a recording cannot tell is found by trying. A controller heard a motion or a change of its
-parameters some states before or after the recorder did; it may not have heard a state that the
+What a recording cannot tell is found by trying. A controller received a motion or a change of its
+parameters some states before or after the recorder did; it may not have received a state that the
 recorder has, or was stopped unnoticed. Every possibility is a branch with a loop of its own, which
 ends where its effort is not the recorded one while another's is. So a replay that agrees is a
-proof, whatever was assumed; one that does not tells where the last possibility ended.
+proof, whatever was assumed; one that does not shows where the last possibility ended.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Answer = Callable[[JointLoop], float]
 
 
 class RecordedState(NamedTuple):
-    """A state that a controller may have heard."""
+    """A state that a controller may have received."""
 
     log_time_ns: int  # [ns] when it was recorded
     place: int  # its place in the log
@@ -47,7 +47,7 @@ class RecordedCommand(NamedTuple):
 
 
 class Instruction(NamedTuple):
-    """Something that a controller was told: a motion, other settings, or a relay."""
+    """Something that a controller received: a motion, other settings, or a relay."""
 
     log_time_ns: int  # [ns] when it was recorded
     place: int  # its place in the log
@@ -79,7 +79,7 @@ class JointRecord:
     settings: LoopSettings  # the controller's settings when it began
     states: Sequence[RecordedState]
     commands: Sequence[RecordedCommand]
-    instructions: Sequence[Instruction]  # what the controller was told
+    instructions: Sequence[Instruction]  # what the controller received
     begin_ns: int  # [ns] stamp from which times are counted
     is_slide: bool = False  # whether the joint slides: its efforts are in [N]
 
@@ -121,17 +121,17 @@ class JointVerdict:
         return self.equal > 0 and not (self.different or self.without_state or self.foreign)
 
     @property
-    def is_untold(self) -> bool:
+    def is_undecidable(self) -> bool:
         """Whether nothing can be said: what its controller remembered from before is missing."""
         return self.is_begun_before and not self.equal
 
 
 _APART = (50, 500)
-"""States by which a controller may have heard something earlier or later than the recorder: first
-a few are tried, and where that does not agree, as on an overloaded machine, many."""
+"""States by which a controller may have received something earlier or later than the recorder:
+first a few are tried, and where that does not agree, as on an overloaded machine, many."""
 _BRANCHES_AT_MOST = 64
 _SETTLED_AFTER = 200  # states without a choice, after which the likeliest branch is taken
-_TRIED_UNANSWERED = 3  # states without a command, one after the other, that may have been heard
+_TRIED_UNANSWERED = 3  # states without a command, one after the other, that may have been received
 _SHOWN_AT_MOST = 100  # differences
 _BEGUN_BEFORE = (
     "that the joint had only just been taken over when the recording began; it had not, and what "
@@ -143,16 +143,18 @@ _CONTEXT = 1.0  # [s] within which something that happened may be the reason of 
 class _Branch:
     """One possible course of the controller."""
 
-    __slots__ = ("cost", "effort", "heard", "loop", "notes")
+    __slots__ = ("cost", "effort", "loop", "notes", "received")
 
-    def __init__(self, loop: JointLoop, heard: int, cost: float, notes: tuple[str, ...]) -> None:
-        self.loop, self.heard, self.cost, self.notes = loop, heard, cost, notes
+    def __init__(
+        self, loop: JointLoop, received: int, cost: float, notes: tuple[str, ...]
+    ) -> None:
+        self.loop, self.received, self.cost, self.notes = loop, received, cost, notes
         self.effort = math.nan
 
     def copy(self, cost: float = 0.0, note: str = "") -> _Branch:
         """Return a branch that goes its own way from here on."""
         notes = (*self.notes, note) if note else self.notes
-        return _Branch(_copied(self.loop), self.heard, self.cost + cost, notes)
+        return _Branch(_copied(self.loop), self.received, self.cost + cost, notes)
 
 
 def _copied(loop: JointLoop) -> JointLoop:
@@ -256,7 +258,7 @@ class _Replay:
         self._log_time_ns = state.log_time_ns
 
     def _pass_over(self, index: int, state: RecordedState) -> None:
-        """Take a state that nothing answers: it was not heard, or the command was lost."""
+        """Take a state that nothing answers: it was not received, or the command was lost."""
         self._counts["unanswered"] += 1
         if self._is_left:
             return
@@ -264,19 +266,19 @@ class _Replay:
         self._passed_over += 1
         if self._passed_over > _TRIED_UNANSWERED:  # it listens no more
             return
-        heard = []
+        received = []
         for branch in self._expanded(index):
             each = branch.copy(1.0)
             state.answer(each.loop)
-            heard.append(each)
-        self._keep([*self._branches, *heard])
+            received.append(each)
+        self._keep([*self._branches, *received])
 
     def _compare(self, index: int, state: RecordedState, recorded: float) -> None:
         if self._is_left:
             self._is_left = False
             for branch in self._branches:
                 branch.loop.release()
-                branch.heard = max(branch.heard, self._heard_before(index))
+                branch.received = max(branch.received, self._received_before(index))
         branches = self._expanded(index)
         silence = state.log_time_ns - (self._log_time_ns or state.log_time_ns)
         timeout = self._branches[0].loop.settings.timing.state_timeout
@@ -337,34 +339,34 @@ class _Replay:
                 if not branch.loop.is_on_fallback:
                     branch.loop.note_timeout()
 
-    def _heard_before(self, index: int) -> int:
+    def _received_before(self, index: int) -> int:
         return sum(nominal <= index for nominal in self._nominal)
 
     def _expanded(self, index: int) -> list[_Branch]:
-        """Return all branches, with those that hear something before this state."""
+        """Return all branches, with those that receive something before this state."""
         branches: list[_Branch] = []
         for branch in self._branches:
-            branches += self._hearing(branch, index)
+            branches += self._receiving(branch, index)
         return sorted(branches, key=lambda each: each.cost)
 
-    def _hearing(self, branch: _Branch, index: int) -> Iterator[_Branch]:
-        """Yield a branch, unless it must have heard more by now, and those that have."""
-        while branch.heard < len(self._nominal):
-            late = index - self._nominal[branch.heard]
+    def _receiving(self, branch: _Branch, index: int) -> Iterator[_Branch]:
+        """Yield a branch, unless it must have received more by now, and those that have."""
+        while branch.received < len(self._nominal):
+            late = index - self._nominal[branch.received]
             if late < -self._apart:
                 break
-            instruction = self._record.instructions[branch.heard]
+            instruction = self._record.instructions[branch.received]
             if late >= self._apart:
-                self._tell(branch, instruction)
+                self._instruct(branch, instruction)
                 continue
             waiting = branch.copy(1.0 if late >= 0 else 0.0)
             branch.cost += max(-late, 0)
-            self._tell(branch, instruction)
+            self._instruct(branch, instruction)
             yield waiting
         yield branch
 
-    def _tell(self, branch: _Branch, instruction: Instruction) -> None:
-        branch.heard += 1
+    def _instruct(self, branch: _Branch, instruction: Instruction) -> None:
+        branch.received += 1
         try:
             instruction.what(branch.loop)
         except HpidError as error:

@@ -295,7 +295,7 @@ def _moved(
     robot: GivenRobot, recording: RunSeries, found: Sequence[JointIdentification]
 ) -> dict[str, MovedInertia]:
     """Return what the motors move, with the rotors that were found."""
-    rotors = {each.joint: each.told(INERTIA) for each in found}
+    rotors = {each.joint: each.reliable(INERTIA) for each in found}
     known = {
         name: JointAmendment(rotor_inertia=estimate.value, gear_ratio=1.0)
         for name, estimate in rotors.items()

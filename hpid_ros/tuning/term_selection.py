@@ -48,7 +48,7 @@ class JointIdentification:
 
     joint: str  # its name
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
-    untold: Mapping[str, str] = field(default_factory=dict)
+    unreliable: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()  # what to know of all the numbers
     method: str = ""  # how, in a few words
     why: str = ""  # the reason for the method, in a few words
@@ -70,10 +70,10 @@ class JointIdentification:
         """Whether there is any number."""
         return bool(self.estimates)
 
-    def told(self, name: str) -> Estimate | None:
-        """Return an estimate that the data tell; None if they do not."""
+    def reliable(self, name: str) -> Estimate | None:
+        """Return an estimate that can be relied on; None if there is none."""
         found = self.estimates.get(name)
-        return found if found is not None and found.is_told else None
+        return found if found is not None and found.is_reliable else None
 
 
 _CHANCE = 0.01  # of seeing a term that is not there
@@ -133,7 +133,7 @@ class _Choice(NamedTuple):
 def nothing(record: JointRecord, reason: str) -> JointIdentification:
     """Return that nothing could be found."""
     travel = float(np.ptp(record.position)) if len(record.position) else 0.0
-    return JointIdentification(record.joint, untold={record.joint: reason}, travel=travel)
+    return JointIdentification(record.joint, unreliable={record.joint: reason}, travel=travel)
 
 
 def findings(
@@ -172,28 +172,28 @@ def findings(
     estimates = _estimates(equation, choice)
     if _is_reversed(estimates.get(EFFORT_SCALE)):
         facts = replace(facts, remarks=(*facts.remarks, _REVERSED))
-    untold = {name: each.reason for name, each in estimates.items() if each.reason}
+    unreliable = {name: each.reason for name, each in estimates.items() if each.reason}
     if not choice.model.has_coulomb:
-        untold[COULOMB] = (
+        unreliable[COULOMB] = (
             "it moved in one direction only, in which friction is a constant load: "
             f"{_HELP[COULOMB]}"
         )
     if equation.terms.rigid is None and not choice.model.has_gravity:
-        untold[GRAVITY_SIN] = (
+        unreliable[GRAVITY_SIN] = (
             f"over {facts.travel:.2g} rad it is no other than a constant load, or there is none: "
             f"{_HELP[GRAVITY_SIN]}"
         )
-    return _with(facts, estimates, untold)
+    return _with(facts, estimates, unreliable)
 
 
 def _is_reversed(scale: Estimate | None) -> bool:
-    return scale is not None and scale.is_told and scale.high < 0.0
+    return scale is not None and scale.is_reliable and scale.high < 0.0
 
 
 def _with(
-    facts: JointIdentification, estimates: Mapping[str, Estimate], untold: Mapping[str, str]
+    facts: JointIdentification, estimates: Mapping[str, Estimate], unreliable: Mapping[str, str]
 ) -> JointIdentification:
-    return replace(facts, estimates=estimates, untold=untold)
+    return replace(facts, estimates=estimates, unreliable=unreliable)
 
 
 def _spacing(times: Numbers) -> float:
@@ -318,7 +318,7 @@ def _scale_beside(equation: Equation, choice: _Choice) -> Estimate:
     value = float(free.fit.values[place])
     inverse = Estimate(value, width, _doubt(equation, free, place, value, width))
     scale = _scaled({EFFORT_SCALE: inverse})[EFFORT_SCALE]
-    if scale.is_told and (scale.low > 1.0 + _OTHER_UNIT or scale.high < 1.0 - _OTHER_UNIT):
+    if scale.is_reliable and (scale.low > 1.0 + _OTHER_UNIT or scale.high < 1.0 - _OTHER_UNIT):
         level = float(np.std(equation.effort(choice.delay)[equation.weight > 0.0]))
         is_felt = choice.fit.rms**2 - free.fit.rms**2 > (_FELT * level) ** 2
         return replace(scale, reason=_NO_UNIT if is_felt else _UNFELT)

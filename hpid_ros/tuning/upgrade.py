@@ -155,7 +155,7 @@ def effort_scale(candidates: Sequence[Candidate]) -> float:
 def upgrades(
     candidates: Sequence[Candidate],
     goal: str,
-    tell: Callable[[Sequence[str]], None] = lambda joints: None,
+    progress: Callable[[Sequence[str]], None] = lambda joints: None,
 ) -> list[Upgrade | HpidError]:
     """Propose a degree and a norm for the gains of several PIDs.
 
@@ -171,9 +171,11 @@ def upgrades(
             bases[place] = _base(each, scale)
         except HpidError as error:
             found[place] = error
-            tell([each.pid.joint])
+            progress([each.pid.joint])
     loops = [(base, candidates[place].inertia) for place, (base, *_) in bases.items()]
-    for (place, base), interval in zip(bases.items(), certified_degrees(loops, tell), strict=True):
+    for (place, base), interval in zip(
+        bases.items(), certified_degrees(loops, progress), strict=True
+    ):
         if isinstance(interval, GainError):
             found[place] = interval
         else:
@@ -407,8 +409,8 @@ def propose(
         else:
             limit = limits.get(loop.joint, math.inf)
             candidates.append(Candidate(loop, inertia, statistics, limit))
-    with certifying(len(candidates)) as tell:
-        found = upgrades(candidates, goal, tell)
+    with certifying(len(candidates)) as progress:
+        found = upgrades(candidates, goal, progress)
     for candidate, each in zip(candidates, found, strict=True):
         if isinstance(each, HpidError):
             proposals.failures[candidate.pid.joint] = each

@@ -75,7 +75,7 @@ def robot_model(
 ) -> RobotModel:
     """Return a robot with what was found of its joints.
 
-    Estimates that the data do not tell are taken, too, where they can be true at all: together
+    Unreliable estimates are taken, too, where they can be true at all: together
     with the others they explain the recording, whichever share each of them has.
     """
     series = {each.joint: each for each in recorded}
@@ -153,22 +153,22 @@ _WORDS = {INERTIA: "rotor", VISCOUS: "viscous friction", COULOMB: "Coulomb frict
 
 def _assumptions(found: JointIdentification, series: JointSeries) -> Iterator[str]:
     if not found.is_found:
-        reason = found.untold.get(found.joint, "nothing was found")
+        reason = found.unreliable.get(found.joint, "nothing was found")
         yield f"its rotor and friction are those of the robot's description: {reason}"
         return
     for name, words in _WORDS.items():
         estimate = found.estimates.get(name)
         if estimate is None:
             yield f"{words}: as the robot's description says"
-        elif not estimate.is_told:
+        elif not estimate.is_reliable:
             yield f"{words} {max(estimate.value, 0.0):.3g} is a guess: {estimate.reason}"
-    offset, largest = found.told(OFFSET), float(np.max(np.abs(series.effort), initial=0.0))
+    offset, largest = found.reliable(OFFSET), float(np.max(np.abs(series.effort), initial=0.0))
     if offset is not None and abs(offset.value) > _MUCH * largest:
         load = f"a constant load of {offset.value:.3g} N m"
         yield f"{load} is not simulated: the integral carries it"
     if found.effort_limit < math.inf:
         yield f"its drive gives at most {found.effort_limit:.3g} N m, whatever is commanded"
-    if found.told(STRIBECK) is not None:
+    if found.reliable(STRIBECK) is not None:
         yield "friction that grows when creeping (Stribeck) is not simulated"
     yield from found.remarks
 

@@ -335,7 +335,7 @@ def _estimate(found: JointIdentification, name: str, factor: float = 1.0) -> str
     if estimate is None:
         return NOTHING
     text = f"{factor * estimate.value:.3g} ± {factor * estimate.half_width:.2g}"
-    return text if estimate.is_told else f"({text})"
+    return text if estimate.is_reliable else f"({text})"
 
 
 def _checked(settings: LoopSettings, margins: Margins | str) -> list[str]:

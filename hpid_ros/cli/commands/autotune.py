@@ -203,7 +203,7 @@ def _findings(found: RelayFindings) -> list[str]:
         f"{cycle.described_inertia:.4g} by the describing function",
     ]
     for name in (VISCOUS, COULOMB):
-        estimate = found.identified.told(name)
+        estimate = found.identified.reliable(name)
         if estimate is not None:
             unit = "N m s/rad" if name == VISCOUS else "N m"
             lines.append(f"{name}: {estimate.value:.4g} +-{estimate.half_width:.2g} {unit}")

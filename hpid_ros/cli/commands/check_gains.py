@@ -167,8 +167,8 @@ def run(options: argparse.Namespace) -> int:
     file = _loops(options)
     loops = file.loops
     judged = judged_loops(options, file)
-    with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as tell:
-        verdicts = check_gains(judged, tell)
+    with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as progress:
+        verdicts = check_gains(judged, progress)
     by_name = dict(zip(map(shown_name, loops), verdicts, strict=True))
     if options.json:
         print(json.dumps({name: asdict(each) for name, each in by_name.items()}, indent=2))

@@ -72,9 +72,9 @@ def run(options: argparse.Namespace) -> int:
         loops = {each.joint: each for each in first_homogeneous(experiment)}
         inertias = initial_inertias(experiment, tuple(loops.values()))
         slides, frictions = experiment.slides, experiment.frictions
-    with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as tell:
+    with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
         designs = design(
-            loops, inertias, options.rule, options.closed_loop_time, options.delay, tell
+            loops, inertias, options.rule, options.closed_loop_time, options.delay, progress
         )
     designs |= {
         joint: replace(each, reason=of_slide(each.reason))
@@ -84,11 +84,11 @@ def run(options: argparse.Namespace) -> int:
     head = f"{options.rule}, closed-loop time {options.closed_loop_time:g} s"
     head += f", delay {options.delay:g} s" if options.delay else ""
     print(yaml_text(designs, head), end="")
-    told = TextConsole(stderr=True)
+    errors = TextConsole(stderr=True)
     for joint, friction in frictions.items():
         line = held_by_friction(joint, designs[joint].gains.p, friction)
         if line:
             line = of_slide(line) if joint in slides else line
             print(f"# {line}")
-            told.print(line, soft_wrap=True, highlight=False, markup=False)
+            errors.print(line, soft_wrap=True, highlight=False, markup=False)
     return FAILED if any(each.reason for each in designs.values()) else DONE

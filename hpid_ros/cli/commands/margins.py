@@ -121,8 +121,8 @@ def run(options: argparse.Namespace) -> int:
     outputs = [("--json", options.json), *(("--plot", path) for path in charts.values())]
     refuse_outputs(outputs, force=options.force, inputs=inputs)
     measured = _measured(options, families)
-    with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as tell:
-        verdicts = check_gains(judged, tell)
+    with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as progress:
+        verdicts = check_gains(judged, progress)
     slides = sliding_joints(options, found.experiment)
     reports: dict[str, LoopReport] = {}
     for name, family, verdict in zip(names, families, verdicts, strict=True):

@@ -82,27 +82,27 @@ def run(options: argparse.Namespace) -> int:
         lambda share: raise_if_interrupted(),
     )
     verdicts = []
-    with joint_progress(TextConsole(stderr=True), "computed anew", len(records)) as tell:
+    with joint_progress(TextConsole(stderr=True), "computed anew", len(records)) as progress:
         for record in records:
             verdicts.append(replay_joint(record))
-            tell([record.settings.joint])
+            progress([record.settings.joint])
             raise_if_interrupted()
     console = output_console()
     for line in unreadable:
         console.print(f"not read: {line}", soft_wrap=True, markup=False, highlight=False)
     for verdict in verdicts:
-        for line in _told(verdict):
+        for line in _lines(verdict):
             console.print(line, soft_wrap=True, markup=False, highlight=False)
     console.print(_summary(verdicts), soft_wrap=True, markup=False, highlight=False)
     return DONE if all(each.is_the_law for each in verdicts) else FAILED
 
 
-def _told(verdict: JointVerdict) -> Iterator[str]:
+def _lines(verdict: JointVerdict) -> Iterator[str]:
     """Yield what a person wants to know of one joint."""
     whole = verdict.equal + verdict.different
     if not whole:
         yield f"{verdict.joint}: no command answers a state of the recording"
-    elif verdict.is_untold:
+    elif verdict.is_undecidable:
         yield (
             f"{verdict.joint}: {_count(whole)} commands, of which nothing can be told: its "
             "controller ran before the recording began, and what it remembered is not in the bag"
@@ -116,13 +116,13 @@ def _told(verdict: JointVerdict) -> Iterator[str]:
         yield f"  {_difference(each, 'N' if verdict.is_slide else 'N m')}"
     if len(verdict.differences) > _SHOWN:
         yield f"  and later {len(verdict.differences) - _SHOWN} times more"
-    beside = {
+    others = {
         "states without an answer": verdict.unanswered,
         "commands that answer a state which was not recorded": verdict.without_state,
         "commands before the first state or after the last": verdict.outside,
         "commands by another sender": verdict.foreign,
     }
-    yield from (f"  {_count(count)} {what}" for what, count in beside.items() if count)
+    yield from (f"  {_count(count)} {what}" for what, count in others.items() if count)
     if verdict.foreign:
         yield f"  senders: {', '.join(verdict.senders)}"
     if verdict.fallbacks:
@@ -145,11 +145,11 @@ def _summary(verdicts: Sequence[JointVerdict]) -> str:
     equal = sum(each.equal for each in verdicts)
     if all(each.is_the_law for each in verdicts):
         return f"every one of {_count(whole)} commands is the law's, to the last bit"
-    untold = sum(each.different for each in verdicts if each.is_untold)
-    if untold == whole:
+    undecidable = sum(each.different for each in verdicts if each.is_undecidable)
+    if undecidable == whole:
         return "nothing can be told: begin to record before the controllers do"
-    beside = f", {_count(untold)} cannot be told" if untold else ""
-    return f"{_count(equal)} of {_count(whole)} commands are the law's{beside}"
+    others = f", {_count(undecidable)} cannot be told" if undecidable else ""
+    return f"{_count(equal)} of {_count(whole)} commands are the law's{others}"
 
 
 def _count(number: int) -> str:

@@ -110,13 +110,13 @@ def run(options: argparse.Namespace) -> int:
     if options.label is not None:
         require_label(options.label, "--label", SettingError)
     plan = _plan(options)
-    told = TextConsole(stderr=True)
-    with chosen_runner(options, told) as runner:
+    errors = TextConsole(stderr=True)
+    with chosen_runner(options, errors) as runner:
         path = output_folder(options, f"{plan.experiment.name}-tune-{options.law}")
         folder = ResultFolder.create(path, force=options.force, inputs=plan.experiment.inputs)
         print_engine_note([plan.experiment])
-        with result_announced(told, folder, "what was found"):
-            with folder, progress(told, "points", plan.total) as advanced:
+        with result_announced(errors, folder, "what was found"):
+            with folder, progress(errors, "points", plan.total) as advanced:
                 folder.write(EXPERIMENT, plan.experiment.text)
                 search = Search(plan, runner, _least_cost(advanced))
                 result = SearchResult(search, options.label or _LABELS[options.law])
@@ -124,7 +124,7 @@ def run(options: argparse.Namespace) -> int:
                     search.run()
                 finally:
                     result.save(folder)
-            told.print(result.table(), end="", soft_wrap=True, highlight=False, markup=False)
+            errors.print(result.table(), end="", soft_wrap=True, highlight=False, markup=False)
             print(result.snippet(), end="")
     return DONE if search.best is not None else FAILED
 

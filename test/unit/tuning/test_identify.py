@@ -44,12 +44,12 @@ def test_without_noise_the_truth_is_found(seed):
     (result,) = found(record(plant, seed=seed))
     assert values(result) == pytest.approx({n: getattr(plant, n) for n in NAMES}, rel=2e-3)
     assert result.explained > 0.99999
-    assert not [name for name in result.untold if name != "gravity_sin"]
+    assert not [name for name in result.unreliable if name != "gravity_sin"]
 
 
 def test_a_delay_beyond_what_is_looked_through_is_not_told():
     (result,) = found(record(Plant(delay=0.05)), method=Method(longest_delay=0.03))
-    assert result.untold["delay"] == "the best is at the end of what was looked through, 30 ms"
+    assert result.unreliable["delay"] == "the best is at the end of what was looked through, 30 ms"
 
 
 @pytest.mark.parametrize("delay", [-0.0005, 0.0, 0.0004, 0.0037, 0.05])
@@ -171,8 +171,8 @@ def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses(scale):
     assert result.estimates["inertia"].value == pytest.approx(0.3, rel=2e-2)
     assert result.estimates["coulomb"].value == pytest.approx(0.6, rel=2e-2)
     (told,) = found(currents, rigid_body=link)
-    assert "not 1" in told.untold["effort_scale"]
-    assert set(told.estimates) - set(told.untold) == {"delay"}
+    assert "not 1" in told.unreliable["effort_scale"]
+    assert set(told.estimates) - set(told.unreliable) == {"delay"}
 
 
 def test_what_stands_on_a_doubted_scale_is_in_brackets_and_in_no_file():
@@ -263,8 +263,8 @@ def test_what_says_nothing_of_a_joint_gives_a_reason_and_no_number():
     ):
         result = found(*records)[0]
         assert not result.is_found
-        assert words in result.untold[result.joint]
-        assert result.untold[result.joint]
+        assert words in result.unreliable[result.joint]
+        assert result.unreliable[result.joint]
 
 
 def test_coulomb_friction_needs_both_directions():
@@ -274,7 +274,7 @@ def test_coulomb_friction_needs_both_directions():
 
     (result,) = found(record(Plant(), along=onward))
     assert "coulomb" not in result.estimates
-    assert "one direction only" in result.untold["coulomb"]
+    assert "one direction only" in result.unreliable["coulomb"]
     assert result.estimates["inertia"].value == pytest.approx(0.5, rel=1e-2)
 
 
@@ -285,7 +285,7 @@ def test_gravity_is_told_from_a_load_where_the_joint_moves_far():
     assert far.estimates["gravity_cos"].value == pytest.approx(-2.0, rel=2e-2)
     (flat,) = found(record(Plant(), noise=1e-4))
     assert "gravity_sin" not in flat.estimates
-    assert "constant load" in flat.untold["gravity_sin"]
+    assert "constant load" in flat.unreliable["gravity_sin"]
 
 
 def test_stribeck_friction_is_found_where_it_is_and_only_there():

@@ -56,7 +56,7 @@ def test_a_delay_is_in_whole_periods_and_half_a_physics_step_more(delay, periods
 
 
 def test_a_joint_of_which_nothing_was_found_stays_as_it_is_described_and_says_so():
-    found = known(JointIdentification("a", untold={"a": "it did not move"}))
+    found = known(JointIdentification("a", unreliable={"a": "it did not move"}))
     joint = found.robot.description.joints["a"]
     assert (joint.damping, joint.friction) == (0.7, 0.6)
     assert found.facts["a"].delay == 0
