@@ -58,7 +58,13 @@ class MarginTable:
         yield WideTable(
             [
                 TableColumn("loop", list(self._reports), True),
-                TableColumn("certified", [_certified(each) for each in self._reports.values()]),
+                TableColumn(
+                    "certified",
+                    [
+                        Text("yes", "green") if each.verdict.is_certified else Text("NO", "red")
+                        for each in self._reports.values()
+                    ],
+                ),
             ],
             [
                 TableColumn(heading, column)
@@ -90,30 +96,18 @@ def _cells(found: FamilyMargins, period: float) -> list[str]:
     if worst is None:
         return ["UNSTABLE", *["-"] * (len(_FIGURES) - 1)]
     return [
-        f"{_decibel_text(worst.gain_reduction)} {_decibel_text(worst.gain)}",
-        _number(math.degrees(worst.phase)),
-        _number(1e3 * worst.delay),
-        _number(worst.delay / period),
+        " ".join(
+            f"{20.0 * math.log10(factor) if factor else -math.inf:+.1f}"
+            for factor in (worst.gain_reduction, worst.gain)
+        ),
+        f"{math.degrees(worst.phase):.3g}",
+        f"{1e3 * worst.delay:.3g}",
+        f"{worst.delay / period:.3g}",
         f"{worst.disk:.2f}",
         f"{worst.sensitivity:.2f}",
         f"{worst.complementary:.2f}",
-        _number(worst.bandwidth / math.tau),
+        f"{worst.bandwidth / math.tau:.3g}",
     ]
-
-
-def _decibel_text(factor: float) -> str:
-    if factor == 0.0:
-        return "-inf"
-    return "+inf" if factor == math.inf else f"{20.0 * math.log10(factor):+.1f}"
-
-
-def _number(value: float) -> str:
-    return "inf" if value == math.inf else f"{value:.3g}"
-
-
-def _certified(report: LoopReport) -> Text:
-    is_certified = report.verdict.is_certified
-    return Text("yes", style="green") if is_certified else Text("NO", style="red")
 
 
 def _verdict_cells(report: LoopReport) -> list[str | Text]:

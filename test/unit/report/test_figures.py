@@ -317,31 +317,6 @@ def test_no_labels_overlap_whatever_the_number_of_joints(joints):
             assert not any(box.overlaps(other) for other in boxes[:k]), name
 
 
-def test_the_lowest_panel_of_each_column_carries_the_time():
-    runs = [swing(joints=7, count=91)]
-    plot = drawing(figures(runs)["errors"], runs)
-    render(plot, "png")
-    labelled = [
-        axes.get_title(loc="left")
-        for axes in panels(plot)
-        if any(label.get_visible() for label in ticks_in_view(axes.xaxis))
-    ]
-    assert labelled == ["joint5", "joint6"]
-
-
-def test_no_offset_or_power_stands_where_the_joints_name_is():
-    stamps = np.array([0, 10**9], dtype=np.int64)
-    for low, high in ((1e6, 1e6 + 1e-3), (0.0, 1e-9), (-1e-16, 1e-16), (0.0, 3e9), (0.0, 0.9)):
-        series = JointSeries("a", stamps, [low, high], [low, high], stamps, [low, high])
-        runs = [RunSeries("x", (series,))]
-        plot = drawing(figures(runs)["positions"], runs)
-        render(plot, "png")
-        (axes,) = panels(plot)
-        assert axes.yaxis.get_offset_text().get_text() == ""
-        labels = [label.get_text() for label in ticks_in_view(axes.yaxis)]
-        assert len(set(labels)) == len(labels) > 1
-
-
 @pytest.mark.parametrize(
     ("ticks", "labels"),
     [
