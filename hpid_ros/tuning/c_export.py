@@ -399,39 +399,29 @@ def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[s
     }
 
 
-class _Member(NamedTuple):
-    """A member of the settings, as texts of C."""
-
-    name: str
-    type: str
-    description: str
-    value: str
-    minimum: str | None
-    maximum: str | None
-
-
-class _Choice(NamedTuple):
-    """An enumeration of what a setting may say."""
-
-    field: str
-    type: str
-    description: str
-    enumerators: tuple[str, ...]
-
-
-def _member(name: str, field: Field, value: Value) -> _Member:
-    if field.range is not None:
-        number, least, most = (_real(float(each)) for each in (value, *field.range))
-        return _Member(field.name, f"{name}_real", field.description, number, least, most)
+def _member(name: str, field: Field, value: Value) -> dict[str, str | None]:
+    """Return a member of the settings, as texts of C."""
     kind, text = "bool", "true" if value else "false"
-    if field.choices:
+    least = most = None
+    if field.range is not None:
+        kind = f"{name}_real"
+        text, least, most = (_real(float(each)) for each in (value, *field.range))
+    elif field.choices:
         kind, text = f"{name}_{field.name}", _enumerator(name, field, str(value))
-    return _Member(field.name, kind, field.description, text, None, None)
+    return {
+        "name": field.name,
+        "type": kind,
+        "description": field.description,
+        "value": text,
+        "minimum": least,
+        "maximum": most,
+    }
 
 
-def _choice(name: str, field: Field) -> _Choice:
-    enumerators = tuple(_enumerator(name, field, each) for each in field.choices)
-    return _Choice(field.name, field.name, field.description, enumerators)
+def _choice(name: str, field: Field) -> dict[str, Any]:
+    """Return an enumeration of what a setting may say."""
+    enumerators = [_enumerator(name, field, each) for each in field.choices]
+    return {"field": field.name, "description": field.description, "enumerators": enumerators}
 
 
 def _enumerator(name: str, field: Field, choice: str) -> str:

@@ -114,9 +114,8 @@ class Grid(NamedTuple):
         """Return the rows whose columns are known; None where there is no room for any."""
         length = cells.length
         reach = math.floor(kernel.half_width / length + _ROUNDING)
-        begin = 2 * reach + math.ceil(
-            margin / length - _ROUNDING
-        )  # a sign is smoothed of smoothed velocities
+        # Twice: a sign is smoothed of smoothed velocities.
+        begin = 2 * reach + math.ceil(margin / length - _ROUNDING)
         stride = max(1, round(1.0 / (_ROWS_PER_PERIOD * kernel.cutoff * length)))
         room = len(cells.even) - 2 * begin
         if room < 1:
@@ -126,9 +125,8 @@ class Grid(NamedTuple):
     @property
     def times(self) -> Numbers:
         """When the rows are, (R,), in [s]."""
-        return np.asarray(
-            self.first + self.length * (self.begin + self.stride * np.arange(self.rows))
-        )
+        cells = self.begin + self.stride * np.arange(self.rows)
+        return np.asarray(self.first + self.length * cells)
 
     @property
     def offsets(self) -> Numbers:
@@ -137,24 +135,23 @@ class Grid(NamedTuple):
 
     def smoothed(self, cells: Numbers, kernel: Kernel, order: int = 0) -> Numbers:
         """Return a smoothed derivative at the rows."""
-        return _convolved(cells, kernel, order, self, self.begin, self.stride, self.rows)
+        return self._convolved(cells, kernel, order, self.begin, self.stride, self.rows)
 
     def fine(self, cells: Numbers, kernel: Kernel, order: int) -> Numbers:
         """Return a smoothed derivative at every cell, its ends' as those nearest to them."""
-        inner = _convolved(cells, kernel, order, self, self.reach, 1, len(cells) - 2 * self.reach)
+        inner = self._convolved(cells, kernel, order, self.reach, 1, len(cells) - 2 * self.reach)
         return np.pad(inner, self.reach, mode="edge")
 
     def edges(self, cells: int) -> Numbers:
         """Return the edges of the cells, (cells + 1,), in [s]."""
         return np.asarray(self.first + self.length * (np.arange(cells + 1) - 0.5))
 
-
-def _convolved(
-    cells: Numbers, kernel: Kernel, order: int, grid: Grid, begin: int, stride: int, rows: int
-) -> Numbers:
-    taps = kernel.taps(grid.offsets, grid.length, order)
-    needed = cells[begin - grid.reach : begin + grid.reach + stride * (rows - 1) + 1]
-    return np.asarray(np.correlate(needed, taps, "valid")[::stride])
+    def _convolved(
+        self, cells: Numbers, kernel: Kernel, order: int, begin: int, stride: int, rows: int
+    ) -> Numbers:
+        taps = kernel.taps(self.offsets, self.length, order)
+        needed = cells[begin - self.reach : begin + self.reach + stride * (rows - 1) + 1]
+        return np.asarray(np.correlate(needed, taps, "valid")[::stride])
 
 
 class Motion(NamedTuple):

@@ -154,7 +154,9 @@ def identify_robot(
         if joint not in joints:
             raise SettingError(f"{robot_name}: {unknown_name('joint', joint, joints)}")
     own = [joint for joint in wanted if joint not in wheels]
-    body = _rigid_body(robot, records)
+    names = [each.joint for each in records]
+    others = {name: at for name, at in robot.initial_positions.items() if name not in names}
+    body = InverseDynamics(robot.description, names, others)
     found = _with_losses(identify(records, body.efforts, method, own, body.spin), recording)
     if base is not None and base.is_moving:
         remark = remark_on_base(base)
@@ -285,21 +287,14 @@ def _records(recording: RunSeries) -> list[JointRecord]:
     ]
 
 
-def _rigid_body(robot: GivenRobot, records: Sequence[JointRecord]) -> InverseDynamics:
-    names = [each.joint for each in records]
-    others = {name: at for name, at in robot.initial_positions.items() if name not in names}
-    return InverseDynamics(robot.description, names, others)
-
-
 def _moved(
     robot: GivenRobot, recording: RunSeries, found: Sequence[JointIdentification]
 ) -> dict[str, MovedInertia]:
     """Return what the motors move, with the rotors that were found."""
-    rotors = {each.joint: each.reliable(INERTIA) for each in found}
     known = {
-        name: JointAmendment(rotor_inertia=estimate.value, gear_ratio=1.0)
-        for name, estimate in rotors.items()
-        if estimate is not None
+        each.joint: JointAmendment(rotor_inertia=rotor.value, gear_ratio=1.0)
+        for each in found
+        if (rotor := each.reliable(INERTIA)) is not None
     }
     dynamics = Dynamics(amended(robot.description, known, {}, {}))
     names = list(known)
@@ -313,13 +308,10 @@ def _moved(
         ]
     except np.linalg.LinAlgError:  # a joint that moves nothing with mass, and no rotor was found
         return {}
+    found_of = {name: [each[name] for each in met] for name in names}
     return {
-        name: MovedInertia(
-            min(each[name] for each in met),
-            math.fsum(each[name] for each in met) / len(met),
-            max(each[name] for each in met),
-        )
-        for name in names
+        name: MovedInertia(min(each), math.fsum(each) / len(each), max(each))
+        for name, each in found_of.items()
     }
 
 

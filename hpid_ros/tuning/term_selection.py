@@ -153,7 +153,7 @@ def findings(
         remarks=_remarks(equation, choice),
         cutoff=equation.cutoff,
         rows=equation.used_rows,
-        time=equation.used_rows * _spacing(times),
+        time=equation.used_rows * float(np.median(np.diff(times))),
         stribeck_speed=choice.model.stribeck_speed,
         residual=choice.fit.rms,
         explained=max(explained, 0.0),
@@ -168,9 +168,10 @@ def findings(
             f"its motion explains only {max(explained, 0.0):.0%} of its efforts: other joints "
             "move it, it touches something, or these are not its efforts"
         )
-        return _with(facts, {}, {record.joint: reason})
+        return replace(facts, unreliable={record.joint: reason})
     estimates = _estimates(equation, choice)
-    if _is_reversed(estimates.get(EFFORT_SCALE)):
+    scale = estimates.get(EFFORT_SCALE)
+    if scale is not None and scale.is_reliable and scale.high < 0.0:
         facts = replace(facts, remarks=(*facts.remarks, _REVERSED))
     unreliable = {name: each.reason for name, each in estimates.items() if each.reason}
     if not choice.model.has_coulomb:
@@ -183,31 +184,15 @@ def findings(
             f"over {facts.travel:.2g} rad it is no other than a constant load, or there is none: "
             f"{_HELP[GRAVITY_SIN]}"
         )
-    return _with(facts, estimates, unreliable)
-
-
-def _is_reversed(scale: Estimate | None) -> bool:
-    return scale is not None and scale.is_reliable and scale.high < 0.0
-
-
-def _with(
-    facts: JointIdentification, estimates: Mapping[str, Estimate], unreliable: Mapping[str, str]
-) -> JointIdentification:
     return replace(facts, estimates=estimates, unreliable=unreliable)
-
-
-def _spacing(times: Numbers) -> float:
-    return float(np.median(np.diff(times)))
 
 
 def _why(equation: Equation, choice: _Choice) -> str:
     halves = equation.terms.halves[:, 2]
     noise = float(np.var(halves[0] - halves[1])) / 4.0
     share = noise / max(float(np.var(halves.mean(axis=0))), 1e-300)
-    said = f"noise {share:.1g} of the acceleration's variance"
-    return (
-        f"{said}, instruments: {_INSTRUMENTS[equation.uses_reference(choice.model, choice.delay)]}"
-    )
+    used = _INSTRUMENTS[equation.uses_reference(choice.model, choice.delay)]
+    return f"noise {share:.1g} of the acceleration's variance, instruments: {used}"
 
 
 def _chosen(equation: Equation, has_scale: bool) -> _Choice:

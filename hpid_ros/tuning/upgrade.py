@@ -165,21 +165,21 @@ def upgrades(
     """
     scale = effort_scale(candidates) if goal == "balanced" else 0.0
     found: dict[int, Upgrade | HpidError] = {}
-    bases: dict[int, tuple[LoopSettings, dict[str, str], tuple[str, ...]]] = {}
+    bases: dict[int, Upgrade] = {}
     for place, each in enumerate(candidates):
         try:
             bases[place] = _base(each, scale)
         except HpidError as error:
             found[place] = error
             progress([each.pid.joint])
-    loops = [(base, candidates[place].inertia) for place, (base, *_) in bases.items()]
+    loops = [(base.settings, base.inertia) for base in bases.values()]
     for (place, base), interval in zip(
         bases.items(), certified_degrees(loops, progress), strict=True
     ):
         if isinstance(interval, GainError):
             found[place] = interval
         else:
-            found[place] = _proposal(candidates[place], *base, goal, interval)
+            found[place] = _proposal(base, candidates[place].pid.inertia, goal, interval)
     return [found[place] for place in range(len(candidates))]
 
 
@@ -230,10 +230,8 @@ def worthwhile(
     return replace(each, settings=kept, reasons=reasons)
 
 
-def _base(
-    candidate: Candidate, scale: float
-) -> tuple[LoopSettings, dict[str, str], tuple[str, ...]]:
-    """Return the homogeneous loop of degree 0, reasons, and remarks on the PID."""
+def _base(candidate: Candidate, scale: float) -> Upgrade:
+    """Return the homogeneous loop of degree 0, with reasons, and remarks on the PID."""
     pid = candidate.pid
     reasons: dict[str, str] = dict.fromkeys(("gains.p", "gains.i", "gains.d"), "as before")
     base = replace(pid, law="hpid", mu=0.0)
@@ -251,7 +249,8 @@ def _base(
         if getattr(base.effort, name) != was:
             had = "" if abs(was) == LARGEST_EFFORT else f"; it was {was:g}"
             reasons[name] = f"effort limit of the URDF{had}"
-    return base, reasons, _sampling_remarks(base, candidate.inertia[0])
+    remarks = _sampling_remarks(base, candidate.inertia[0])
+    return Upgrade(base, (0.0, 0.0), candidate.inertia, reasons, remarks)
 
 
 def _sampling_remarks(settings: LoopSettings, inertia: float) -> tuple[str, ...]:
@@ -277,40 +276,36 @@ def _sampling_remarks(settings: LoopSettings, inertia: float) -> tuple[str, ...]
     )
 
 
-def _proposal(
-    candidate: Candidate,
-    base: LoopSettings,
-    reasons: dict[str, str],
-    remarks: tuple[str, ...],
-    goal: str,
-    certified: DegreeInterval,
-) -> Upgrade:
-    inertia, ends = candidate.inertia, (certified.lower, certified.upper)
-    chosen, limit = base, "the largest degree that is tried"
+def _proposal(base: Upgrade, known: float, goal: str, certified: DegreeInterval) -> Upgrade:
+    inertia, ends = base.inertia, (certified.lower, certified.upper)
+    chosen, limit = base.settings, "the largest degree that is tried"
     sign = 1.0 if goal == "smooth" else -1.0
     for step in range(1, 50):
         degree = round(sign * step * _STEP, 6)
         try:
-            following = replace(base, mu=degree)
+            following = replace(base.settings, mu=degree)
             excess = _excess(following, ends, inertia[0])
         except NormError as error:  # its floor has no room below the cap
             excess = f"is refused: {error}"
         if excess:
-            which = "no other degree than 0 qualifies" if chosen is base else "the next one"
+            which = (
+                "no other degree than 0 qualifies" if chosen is base.settings else "the next one"
+            )
             limit = f"{which}: {degree:+.2f} {excess}"
             break
         chosen = following
+    reasons = dict(base.reasons)
     reasons["mu"] = (
         f"goal {goal}: {limit}; certified {ends[0]:+.3f} to {ends[1]:+.3f} for {inertia[0]:.3g} "
         f"to {inertia[1]:.3g} kg m^2"
     )
     reasons["law"] = "the homogeneous PID with the same gains"
-    if candidate.pid.inertia == 0.0:
+    if known == 0.0:
         chosen = replace(chosen, inertia=inertia[1])
         reasons["inertia"] = (
             f"largest of {inertia[0]:.6g} to {inertia[1]:.6g} kg m^2: unstable gains are refused"
         )
-    return Upgrade(chosen, ends, inertia, reasons, remarks)
+    return replace(base, settings=chosen, interval=ends, reasons=reasons)
 
 
 def _in_units_of_effort(

@@ -47,11 +47,11 @@ extern "C" {
 {% for choice in choices %}
 
 /* {{ choice.description|comment }} */
-typedef enum {{ c }}_{{ choice.type }} {
+typedef enum {{ c }}_{{ choice.field }} {
 {% for each in choice.enumerators %}
     {{ each }}{{ "," if not loop.last }}
 {% endfor %}
-} {{ c }}_{{ choice.type }};
+} {{ c }}_{{ choice.field }};
 {% endfor %}
 
 /*
