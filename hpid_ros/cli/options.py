@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
 from hpid_ros.base.files import find_resource, write_file
@@ -472,23 +472,38 @@ def _of_robot(
         raise SettingError(f"{options.urdf}: {error}") from None
 
 
-class LoopFile(NamedTuple):
-    """A file of loops; one of the two is there."""
-
-    experiment: Experiment | None  # what an experiment file says
-    parameters: ParameterFile | None  # what a parameter file says
-
-
-def loop_file(path: Path) -> LoopFile:
-    """Read a file of loops."""
+def loop_file(path: Path) -> tuple[Experiment | None, ParameterFile]:
+    """Read a file of loops: those of an experiment have the names of their controllers."""
     from hpid_ros.base.yaml_files import load_document
-    from hpid_ros.control.controller_files import parameters_from
+    from hpid_ros.control.controller_files import ParameterFile, parameters_from
     from hpid_ros.experiment.description import load_experiment
 
     document = load_document(path, SettingError).values
-    if isinstance(document, Mapping) and "compare" in document:
-        return LoopFile(load_experiment(path), None)
-    return LoopFile(None, parameters_from(document, str(path)))
+    if not isinstance(document, Mapping) or "compare" not in document:
+        return None, parameters_from(document, str(path))
+    experiment = load_experiment(path)
+    loops = {
+        f"{label} {each.joint}": each
+        for label, settings in experiment.controllers.items()
+        for each in settings
+    }
+    return experiment, ParameterFile(loops, {})
+
+
+def require_controller(experiment: Experiment | None, label: str, file: Path) -> None:
+    """Refuse a controller that a file has not."""
+    if experiment is None:
+        raise SettingError(f"--controller is for experiments, and {file} is none")
+    if label not in experiment.controllers:
+        raise SettingError(unknown_name("controller", label, experiment.controllers))
+
+
+def require_joints(asked: Iterable[str], loops: Iterable[LoopSettings]) -> None:
+    """Refuse joints that no loop has."""
+    known = list(dict.fromkeys(each.joint for each in loops))
+    for joint in asked:
+        if joint not in known:
+            raise SettingError(unknown_name("joint", joint, known))
 
 
 def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
@@ -496,21 +511,6 @@ def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
     controllers = list(experiment.controllers.values())
     homogeneous = [each for each in controllers if any(loop.law == "hpid" for loop in each)]
     return (homogeneous or controllers)[0]
-
-
-def named_loops(file: LoopFile) -> ParameterFile:
-    """Return every loop of a file by the name to show it under, and the inertias that it holds."""
-    from hpid_ros.control.controller_files import ParameterFile
-
-    if file.parameters is not None:
-        return file.parameters
-    assert file.experiment is not None
-    loops = {
-        f"{label} {each.joint}": each
-        for label, settings in file.experiment.controllers.items()
-        for each in settings
-    }
-    return ParameterFile(loops, {})
 
 
 def shown_name(name: str) -> str:

@@ -20,7 +20,6 @@ from hpid_ros.cli.options import (
     judged_loops,
     load_robot,
     loop_file,
-    named_loops,
     shown_name,
     sliding_joints,
 )
@@ -173,8 +172,8 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({name: asdict(each) for name, each in by_name.items()}, indent=2))
     else:
-        found = loop_file(options.file) if options.file else None
-        slides = sliding_joints(options, found and found.experiment)
+        experiment = loop_file(options.file)[0] if options.file else None
+        slides = sliding_joints(options, experiment)
         sliding = [
             name
             for name, settings in zip(by_name, loops.values(), strict=True)
@@ -237,7 +236,7 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
 
         return ParameterFile(running_loops(), {})
     if options.file:
-        return named_loops(loop_file(options.file))
+        return loop_file(options.file)[1]
     from hpid_ros.control.settings import LoopSettings
 
     missing = [f"--{name}" for name in "pid" if getattr(options, name) is None]

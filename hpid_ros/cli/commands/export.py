@@ -7,10 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.options import add_joints, first_homogeneous, loop_file
+from hpid_ros.cli.options import (
+    add_joints,
+    first_homogeneous,
+    loop_file,
+    require_controller,
+    require_joints,
+)
 
 if TYPE_CHECKING:
     from hpid_ros.control.settings import LoopSettings
@@ -71,26 +77,17 @@ def run(options: argparse.Namespace) -> int:
 
 def _loops(file: Path, label: str | None) -> Sequence[LoopSettings]:
     """Return the loops of one controller."""
-    found = loop_file(file)
-    if found.parameters is not None:
-        if label is not None:
-            raise SettingError(f"--controller is for experiments, and {file} is none")
-        return list(found.parameters.loops.values())
-    assert found.experiment is not None
-    if label is None:
-        return first_homogeneous(found.experiment)
-    controllers = found.experiment.controllers
-    if label not in controllers:
-        raise SettingError(unknown_name("controller", label, controllers))
-    return controllers[label]
+    experiment, parameters = loop_file(file)
+    if label is not None:
+        require_controller(experiment, label, file)
+    if experiment is None:
+        return list(parameters.loops.values())
+    return experiment.controllers[label] if label else first_homogeneous(experiment)
 
 
 def _chosen(loops: Sequence[LoopSettings], joints: Sequence[str]) -> list[LoopSettings]:
     """Return the loops of the joints that are named, or all if none is."""
-    known = [each.joint for each in loops]
-    for joint in joints:
-        if joint not in known:
-            raise SettingError(unknown_name("joint", joint, known))
+    require_joints(joints, loops)
     return [each for each in loops if not joints or each.joint in joints]
 
 

@@ -14,14 +14,14 @@ from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.files import refuse_outputs
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
-    LoopFile,
     add_joints,
     add_robot_options,
     joint_progress,
     judged_loops,
     load_robot,
     loop_file,
-    named_loops,
+    require_controller,
+    require_joints,
     shown_name,
     sliding_joints,
     write_output,
@@ -29,6 +29,7 @@ from hpid_ros.cli.options import (
 
 if TYPE_CHECKING:
     from hpid_ros.control.controller_files import ParameterFile
+    from hpid_ros.experiment.description import Experiment
     from hpid_ros.stability.gain_check import Loop
     from hpid_ros.stability.margins import LoopFamily
     from hpid_ros.stability.measured_margins import LoopReport, MeasuredJoint
@@ -111,10 +112,10 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.stability.margins import family_margins
     from hpid_ros.stability.measured_margins import LoopReport, nearest_distance
 
-    found = loop_file(options.file)
-    file = _chosen(named_loops(found), found, options)
+    experiment, file = loop_file(options.file)
+    file = _chosen(file, experiment, options)
     judged = judged_loops(options, file)
-    families = _families(options, found, judged)
+    families = _families(options, experiment, judged)
     names = [shown_name(name) for name in file.loops]
     charts = _charts(options, dict(zip(names, families, strict=True)))
     inputs = [each for each in (options.file, options.bag) if each is not None]
@@ -123,7 +124,7 @@ def run(options: argparse.Namespace) -> int:
     measured = _measured(options, families)
     with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as progress:
         verdicts = check_gains(judged, progress)
-    slides = sliding_joints(options, found.experiment)
+    slides = sliding_joints(options, experiment)
     reports: dict[str, LoopReport] = {}
     for name, family, verdict in zip(names, families, verdicts, strict=True):
         joint = measured.get(family.settings.joint)
@@ -151,23 +152,18 @@ def run(options: argparse.Namespace) -> int:
     return DONE if all(each.band.is_stable for each in reports.values()) else FAILED
 
 
-def _chosen(file: ParameterFile, found: LoopFile, options: argparse.Namespace) -> ParameterFile:
+def _chosen(
+    file: ParameterFile, experiment: Experiment | None, options: argparse.Namespace
+) -> ParameterFile:
     """Return the loops of the joints and of the controller that are named."""
-    loops = file.loops
-    known = list(dict.fromkeys(each.joint for each in loops.values()))
-    for joint in options.joint:
-        if joint not in known:
-            raise SettingError(unknown_name("joint", joint, known))
+    require_joints(options.joint, file.loops.values())
     label = options.controller
     if label is not None:
-        if found.experiment is None:
-            raise SettingError(f"--controller is for experiments, and {options.file} is none")
-        if label not in found.experiment.controllers:
-            raise SettingError(unknown_name("controller", label, found.experiment.controllers))
+        require_controller(experiment, label, options.file)
     return file._replace(
         loops={
             name: each
-            for name, each in loops.items()
+            for name, each in file.loops.items()
             if (not options.joint or each.joint in options.joint)
             and (label is None or name == f"{label} {each.joint}")
         }
@@ -175,7 +171,7 @@ def _chosen(file: ParameterFile, found: LoopFile, options: argparse.Namespace) -
 
 
 def _families(
-    options: argparse.Namespace, found: LoopFile, judged: Sequence[Loop]
+    options: argparse.Namespace, experiment: Experiment | None, judged: Sequence[Loop]
 ) -> list[LoopFamily]:
     """Return the loops with the friction and the delays of the experiment's robot, or --urdf's."""
     from hpid_ros.robot.description import RobotDescription
@@ -183,7 +179,7 @@ def _families(
 
     friction: dict[str, float] = {}
     delays: dict[str, float] = {}
-    experiment, description = found.experiment, None
+    description = None
     if experiment is not None:
         world = experiment.world
         description = RobotDescription.load(world.robot_description)
