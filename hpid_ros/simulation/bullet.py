@@ -77,8 +77,7 @@ class BulletPhysics:
 
     def push(self, link: str, force: Vector, torque: Vector) -> None:
         client, body, index = self._client, self._scene.body, self._scene.links[link]
-        origin = _link_pose(client, body, index).position
-        centre = _centre_of_mass(client, body, index)
+        origin, centre = self._pose(index).position, self._centre_of_mass(index)
         x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
         fx, fy, fz = force
         tx, ty, tz = torque
@@ -94,13 +93,20 @@ class BulletPhysics:
         self._scene.load_payload(self._client, mass)
 
     def link_pose(self, link: str) -> Pose:
-        return _link_pose(self._client, self._scene.body, self._scene.links[link])
+        return self._pose(self._scene.links[link])
 
     def root_pose(self) -> Pose:
-        return _link_pose(self._client, self._scene.body, _ROOT)
+        return self._pose(_ROOT)
 
     def root_twist(self) -> Twist:
-        return _root_twist(self._client, self._scene.body)
+        client = self._client
+        origin, orientation = self._pose(_ROOT)
+        (vx, vy, vz), angular = client.getBaseVelocity(self._scene.body)
+        wx, wy, wz = angular
+        x, y, z = (a - b for a, b in zip(origin, self._centre_of_mass(_ROOT), strict=True))
+        linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
+        _, inverse = client.invertTransform((0.0, 0.0, 0.0), orientation)
+        return Twist(client.rotateVector(inverse, linear), client.rotateVector(inverse, angular))
 
     def brick_pose(self, index: int) -> Pose:
         return box_pose(self._client, self._scene.bricks[index])
@@ -158,33 +164,22 @@ class BulletPhysics:
     def close(self) -> None:
         self._client.close()
 
+    def _pose(self, index: int) -> Pose:
+        """Return the pose of a link's URDF frame."""
+        client, body = self._client, self._scene.body
+        if index != _ROOT:
+            state = client.getLinkState(body, index)
+            return Pose(state[4], state[5])
+        # Of the root Bullet gives the principal frame at the centre of mass.
+        centre = client.getBasePositionAndOrientation(body)
+        frame = client.invertTransform(*client.getDynamicsInfo(body, _ROOT)[3:5])
+        return Pose(*client.multiplyTransforms(*centre, *frame))
 
-def _link_pose(client: Client, body: int, index: int) -> Pose:
-    """Return the pose of a link's URDF frame."""
-    if index != _ROOT:
-        state = client.getLinkState(body, index)
-        return Pose(state[4], state[5])
-    # Of the root Bullet gives the principal frame at the centre of mass.
-    centre = client.getBasePositionAndOrientation(body)
-    inertial = client.getDynamicsInfo(body, _ROOT)[3:5]
-    frame = client.invertTransform(*inertial)
-    return Pose(*client.multiplyTransforms(*centre, *frame))
-
-
-def _centre_of_mass(client: Client, body: int, index: int) -> tuple[float, float, float]:
-    """Return a link's centre of mass in the world, in [m]."""
-    if index == _ROOT:
-        return client.getBasePositionAndOrientation(body)[0]
-    return client.getLinkState(body, index)[0]
-
-
-def _root_twist(client: Client, body: int) -> Twist:
-    """Return the velocity of the root link's frame."""
-    origin, orientation = _link_pose(client, body, _ROOT)
-    centre = _centre_of_mass(client, body, _ROOT)
-    (vx, vy, vz), angular = client.getBaseVelocity(body)
-    wx, wy, wz = angular
-    x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
-    linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
-    _, inverse = client.invertTransform((0.0, 0.0, 0.0), orientation)
-    return Twist(client.rotateVector(inverse, linear), client.rotateVector(inverse, angular))
+    def _centre_of_mass(self, index: int) -> Vector:
+        """Return a link's centre of mass in the world, in [m]."""
+        body = self._scene.body
+        if index == _ROOT:
+            centre: Vector = self._client.getBasePositionAndOrientation(body)[0]
+        else:
+            centre = self._client.getLinkState(body, index)[0]
+        return centre

@@ -128,12 +128,6 @@ def let_hand_pass(client: Client, robot: int, link: int, bricks: Iterable[int]) 
             client.setCollisionFilterPair(robot, brick, index, -1, enableCollision=0)
 
 
-def still(client: Client, bodies: Iterable[int]) -> None:
-    nothing = (0.0, 0.0, 0.0)
-    for body in bodies:
-        client.resetBaseVelocity(body, nothing, nothing)
-
-
 def box_pose(client: Client, body: int) -> Pose:
     return Pose(*client.getBasePositionAndOrientation(body))
 
@@ -348,8 +342,9 @@ def settle(client: Client, body: int, joints: Collection[int], physics_period: f
 
 def settle_bricks(client: Client, bricks: tuple[int, ...], workplace: Workplace) -> None:
     """Take away what speed the bricks have left, and refuse those that fell or were pushed."""
-    still(client, bricks)
+    rest = (0.0, 0.0, 0.0)
     for body, brick in zip(bricks, workplace.bricks, strict=True):
+        client.resetBaseVelocity(body, rest, rest)
         moved = math.dist(box_pose(client, body).position, brick.position)
         if moved > STAYING:
             raise SettingError(
@@ -404,7 +399,12 @@ def build_scene(
     )
     body = _load(client, urdf, settings.fixed_base)
     joints, links = _indices(client, body)
-    scene = _scene(client, body, joints, links, settings)
+    payload, own = links.get(settings.payload_link), (0.0, (0.0, 0.0, 0.0))
+    if payload is not None:
+        info = client.getDynamicsInfo(body, payload)
+        own = info[0], info[2]
+    driven = tuple(joints[name] for name in settings.joints)
+    scene = Scene(body, driven, links, payload, own)
     _prepare_links(client, scene)
     if settings.payload_mass:
         scene.load_payload(client, settings.payload_mass)
@@ -458,23 +458,6 @@ def _indices(client: Client, body: int) -> tuple[dict[str, int], dict[str, int]]
         joints[info[1].decode()] = index
         links[info[12].decode()] = index
     return joints, links
-
-
-def _scene(
-    client: Client,
-    body: int,
-    joints: Mapping[str, int],
-    links: Mapping[str, int],
-    settings: WorldSettings,
-) -> Scene:
-    """Note what the world needs to know of a robot just loaded."""
-    payload = links.get(settings.payload_link)
-    own = (0.0, (0.0, 0.0, 0.0))
-    if payload is not None:
-        info = client.getDynamicsInfo(body, payload)
-        own = (info[0], info[2])
-    driven = tuple(joints[name] for name in settings.joints)
-    return Scene(body, driven, links, payload, own)
 
 
 def _prepare_links(client: Client, scene: Scene) -> None:

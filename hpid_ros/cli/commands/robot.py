@@ -46,7 +46,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Show the robot."""
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.robot.amendments import review
+    from hpid_ros.robot.amendments import amended, review
 
     if options.save:
         inputs = [Path(options.file)]
@@ -71,7 +71,12 @@ def run(options: argparse.Namespace) -> int:
         for each in remarks:
             console.print(f"{_listed(each.names)}: {each.text}", highlight=False, soft_wrap=True)
     if options.save:
-        _save(robot, options.save)
+        try:
+            # With nothing to amend, only its meshes are named so that they are found from there.
+            write_file(options.save, amended(robot.description, {}, {}, {}).xml)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise SettingError(f"cannot write {options.save}: {reason}") from None
     return DONE
 
 
@@ -80,18 +85,6 @@ def _listed(names: tuple[str, ...]) -> str:
     shown = names if len(names) <= _SHOWN else names[: _SHOWN - 1]
     more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
     return ", ".join(shown) + more
-
-
-def _save(robot: GivenRobot, path: Path) -> None:
-    from hpid_ros.robot.amendments import amended
-
-    try:
-        # With nothing to amend, only its meshes are named so that they are found from there.
-        write_file(path, amended(robot.description, {}, {}, {}).xml)
-    except OSError as error:
-        raise SettingError(
-            f"cannot write {path}: {(error.strerror or str(error)).lower()}"
-        ) from None
 
 
 def _facts(robot: GivenRobot, poses: int) -> dict[str, dict[str, Any]]:
