@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +30,7 @@ from hpid_ros.nodes.parts.merger import (
     LARGEST_EFFORT,
     LONGEST_TIMEOUT,
     CommandMerger,
+    JointCounts,
     MergerSettings,
     Receiver,
     joints_of,
@@ -212,13 +213,11 @@ def _shown_silent(merger: CommandMerger) -> str:
 
 def _readings(merger: CommandMerger) -> dict[str, object]:
     """Return what a merger counted, by name, for ``/diagnostics``."""
-    counts = merger.counts.values()
-    by_joint = {
-        "late": {name: each.late for name, each in merger.counts.items()},
-        "silences": {name: each.silences for name, each in merger.counts.items()},
-        "returns": {name: each.returns for name, each in merger.counts.items()},
-        "commands not finite": {name: each.invalid for name, each in merger.counts.items()},
-    }
+
+    def by_joint(count: Callable[[JointCounts], int]) -> str:
+        counts = {name: count(each) for name, each in merger.counts.items()}
+        return ", ".join(f"{name} {n}" for name, n in counts.items() if n) or "none"
+
     return {
         "joints": ", ".join(merger.settings.names),
         "silent": ", ".join(joint.name for joint in merger.silent) or "none",
@@ -226,14 +225,13 @@ def _readings(merger: CommandMerger) -> dict[str, object]:
         "wait for stragglers [us]": merger.rounds.wait_ns / _MICROSECOND,
         "messages": merger.sent,
         "messages with every answer": merger.sent_whole,
-        "commands": sum(each.commands for each in counts),
+        "commands": sum(each.commands for each in merger.counts.values()),
         "commands for other joints": merger.foreign,
-        **{what: _named(values) for what, values in by_joint.items()},
+        "late": by_joint(lambda each: each.late),
+        "silences": by_joint(lambda each: each.silences),
+        "returns": by_joint(lambda each: each.returns),
+        "commands not finite": by_joint(lambda each: each.invalid),
     }
-
-
-def _named(values: dict[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in values.items() if count) or "none"
 
 
 _ZEROS = 10  # with which it leaves: nobody acknowledges a best-effort message

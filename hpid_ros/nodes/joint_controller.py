@@ -41,7 +41,7 @@ from hpid_ros.nodes.parts.joint_topics import (
     Sinks,
     sender_of,
 )
-from hpid_ros.nodes.parts.lifecycle import ControllerStop, ManagedNode, StateWatchdog
+from hpid_ros.nodes.parts.lifecycle import ControllerStop, ManagedNode
 from hpid_ros.nodes.parts.references import ControllerReferences, Introspection
 
 _READINESS_PERIOD = 0.02  # [s]
@@ -91,7 +91,14 @@ class JointController(ManagedNode):
         self._supervised = SupervisedLoop(
             self._loop, self._timed_out, lambda: self._stopping.end()
         )
-        self._watchdog = StateWatchdog(self, self._supervised)
+        self._watchdog = self._supervised.watchdog
+        self._watchdog_timer: Any = None
+        self._has_watchdog: bool = read_only(
+            self,
+            "state_watchdog",
+            True,
+            "Give fallback_effort when no new state has come for state_timeout of wall time",
+        )
         self._stopping = ControllerStop(self, self._supervised, self._commands, self._left)
         self._health = ControllerHealth(
             self,
@@ -171,9 +178,11 @@ class JointController(ManagedNode):
 
     def _stop_listening(self) -> None:
         """Drop the states, and any motion but one that is waited for."""
-        self._watchdog.stop()
-        if self._readiness is not None:
-            self.destroy_timer(self._readiness)
+        self._watchdog.forget()
+        for timer in (self._watchdog_timer, self._readiness):
+            if timer is not None:
+                self.destroy_timer(timer)
+        self._watchdog_timer = self._readiness = None
         if self._shared:
             self._shared.leave(self)
         elif self._states is not None:
@@ -185,7 +194,6 @@ class JointController(ManagedNode):
             self._loop.release()
         if self._model is not None:
             self._model.reset()
-        self._readiness = None
         self._is_listening = False
         self._timing.interrupt()
 
@@ -237,11 +245,33 @@ class JointController(ManagedNode):
 
     def _note_first_states(self) -> None:
         """Watch for a state timeout from the first state; a usable one completes the start."""
-        self._watchdog.watch(self._loop.settings.timing.state_timeout)
+        self._watch_states(self._loop.settings.timing.state_timeout)
         if self._loop.stamp_ns is not None:
             self.destroy_timer(self._readiness)
             self._readiness = None
             self._health.begun()
+
+    def _watch_states(self, timeout: float) -> None:
+        """Check for a state timeout on two threads, as no state calls the loop then.
+
+        That of the supervisor gives the effort, which no callback may delay (:meth:`check`); that
+        of the executor tells the loop.
+        """
+        if not self._has_watchdog or timeout == self._watchdog.timeout:
+            return
+        if self._watchdog_timer is not None:
+            self.destroy_timer(self._watchdog_timer)
+        self._watchdog.timeout = timeout
+        self._watchdog_timer = steady_timer(
+            self,
+            self._watchdog.period,
+            lambda: self._supervised.look(time.perf_counter_ns()),
+        )
+        if self.supervisor is not None:
+            self.supervisor.check_again()
+
+    def _has_timed_out(self) -> bool:
+        return self._watchdog.is_silent(time.perf_counter_ns())
 
     def _timed_out(self, silence: float, effort: float) -> None:
         """Report a state timeout; :meth:`check` gives the effort, whatever this thread does."""
@@ -275,14 +305,14 @@ class JointController(ManagedNode):
         if self._model is not None:
             self._model.retune(settings)
         if self._is_listening and self.is_active:
-            self._watchdog.watch(settings.timing.state_timeout)
+            self._watch_states(settings.timing.state_timeout)
         self._certification.accept(settings)
 
     def refuse(self, line: str) -> None:
         self._health.refuse(line)
 
     def _report(self) -> None:
-        if self._is_timeout_reported and not self._watchdog.is_silent():
+        if self._is_timeout_reported and not self._has_timed_out():
             self._is_timeout_reported = False
             self.get_logger().info("states come again: the joint is controlled")
         waiting = "" if self._is_listening else self._waits_for()
@@ -303,8 +333,8 @@ class JointController(ManagedNode):
 
     def check(self) -> float:
         """Give the effort for a state timeout, and publish the claim where it is due."""
-        self._commands.fall_back(self._supervised.timeout_effort, self._watchdog.is_silent)
-        return min(self._watchdog.time_left(), self._claim.keep())
+        self._commands.fall_back(self._supervised.timeout_effort, self._has_timed_out)
+        return min(self._watchdog.time_left(time.perf_counter_ns()), self._claim.keep())
 
     def cut_effort(self) -> bool:
         self._commands.cut()

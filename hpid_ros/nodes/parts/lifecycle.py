@@ -1,8 +1,7 @@
-"""A managed controller: transitions, the damping stop, the watchdog of its states."""
+"""Managed nodes: their transitions, and how a controller leaves its joint."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +14,6 @@ from rclpy.timer import Timer
 from hpid_ros.base.errors import ClaimError
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.core import executor
-from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import steady_timer
 from hpid_ros.nodes.core.process import read_choice, read_number, read_only
 from hpid_ros.nodes.core.rclpy_internals import destroy_lifecycle, lifecycle_state
@@ -189,55 +187,3 @@ class ControllerStop:
                 "the last command, of zero effort, was not acknowledged by every subscriber "
                 f"within {_LAST_COMMAND_WITHIN.nanoseconds * 1e-9:g} s"
             )
-
-
-class StateWatchdog:
-    """Checks for a state timeout without states, on two threads.
-
-    That of the supervisor gives the effort, which no callback may delay; that of the executor
-    tells the loop.
-    """
-
-    def __init__(self, node: ClosingNode, joint: SupervisedLoop) -> None:
-        self._is_on = bool(
-            read_only(
-                node,
-                "state_watchdog",
-                True,
-                "Give fallback_effort when no new state has come for state_timeout of wall time",
-            )
-        )
-        self._node, self._joint, self._watchdog = node, joint, joint.watchdog
-        self._timer: Timer | None = None
-
-    def watch(self, timeout: float) -> None:
-        """Check from now on, or with another timeout."""
-        if not self._is_on or timeout == self._watchdog.timeout:
-            return
-        self._destroy_timer()
-        self._watchdog.timeout = timeout
-        self._timer = steady_timer(
-            self._node,
-            self._watchdog.period,
-            lambda: self._joint.look(time.perf_counter_ns()),
-        )
-        if self._node.supervisor is not None:
-            self._node.supervisor.check_again()
-
-    def stop(self) -> None:
-        """Check no more, and forget what came."""
-        self._watchdog.forget()
-        self._destroy_timer()
-
-    def is_silent(self) -> bool:
-        """Return whether states are missing, and an effort is given; on any thread."""
-        return self._watchdog.is_silent(time.perf_counter_ns())
-
-    def time_left(self) -> float:
-        """Return the time in [s] until there may be a timeout; on any thread."""
-        return self._watchdog.time_left(time.perf_counter_ns())
-
-    def _destroy_timer(self) -> None:
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
-            self._timer = None
