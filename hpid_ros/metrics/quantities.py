@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -66,17 +67,13 @@ class Quantity:
 NO_STEP = "the reference does not step"
 NO_SPECTRUM = "too few commands, or too rare ones"
 
-IVC = Quantity("ivc", "IVC", "N m", "variation of the effort", needs=Data.EFFORT)
-IAVC = Quantity("iavc", "IAVC", "N m s", "effort spent", needs=Data.EFFORT)
+_of_effort = partial(Quantity, needs=Data.EFFORT)
+_of_step = partial(Quantity, fold=Fold.WORST, else_undefined=NO_STEP)
+
+IVC = _of_effort("ivc", "IVC", "N m", "variation of the effort")
+IAVC = _of_effort("iavc", "IAVC", "N m s", "effort spent")
 ITAE = Quantity("itae", "ITAE", "rad s^2", "time-weighted error", angle_power=1)
-EFFORT_L2 = Quantity(
-    "effort_l2",
-    "||u||",
-    "N m s^0.5",
-    "L2 norm of the effort",
-    Fold.EUCLIDEAN,
-    needs=Data.EFFORT,
-)
+EFFORT_L2 = _of_effort("effort_l2", "||u||", "N m s^0.5", "L2 norm of the effort", Fold.EUCLIDEAN)
 ERROR_L2 = Quantity("error_l2", "||e||", "rad s^0.5", "L2 norm of the error", Fold.EUCLIDEAN, 1)
 INDICES = (IVC, IAVC, ITAE)
 """The paper's indices of each joint."""
@@ -89,52 +86,20 @@ IAE = Quantity("iae", "IAE", "rad s", "absolute error", angle_power=1)
 ISE = Quantity("ise", "ISE", "rad^2 s", "squared error", angle_power=2)
 RMSE = Quantity("rmse", "RMSE", "rad", "root mean square error", Fold.ROOT_MEAN_SQUARE, 1)
 ERROR_MAX = Quantity("error_max", "max|e|", "rad", "largest error", Fold.WORST, 1)
-RISE_TIME = Quantity(
-    "rise_time", "rise", "s", "10 % to 90 % of a step", Fold.WORST, else_undefined=NO_STEP
+RISE_TIME = _of_step("rise_time", "rise", "s", "10 % to 90 % of a step")
+SETTLING_TIME = _of_step("settling_time", "settling", "s", "until within 2 % of a step")
+OVERSHOOT = _of_step("overshoot", "overshoot", "%", "beyond a step, of its height")
+STEADY_STATE_ERROR = _of_step(
+    "steady_state_error", "e_ss", "rad", "mean error at the end of a step", angle_power=1
 )
-SETTLING_TIME = Quantity(
-    "settling_time",
-    "settling",
-    "s",
-    "until within 2 % of a step",
-    Fold.WORST,
-    else_undefined=NO_STEP,
+SATURATION = _of_effort(
+    "saturation", "saturated", "%", "time with the effort at a limit", Fold.MEAN
 )
-OVERSHOOT = Quantity(
-    "overshoot",
-    "overshoot",
-    "%",
-    "beyond a step, of its height",
-    Fold.WORST,
-    else_undefined=NO_STEP,
-)
-STEADY_STATE_ERROR = Quantity(
-    "steady_state_error",
-    "e_ss",
-    "rad",
-    "mean error at the end of a step",
-    Fold.WORST,
-    1,
-    else_undefined=NO_STEP,
-)
-SATURATION = Quantity(
-    "saturation",
-    "saturated",
-    "%",
-    "time with the effort at a limit",
-    Fold.MEAN,
-    needs=Data.EFFORT,
-)
-CHATTER = Quantity(
-    "chatter",
-    "chatter",
-    "N m",
-    "effort above the cut-off frequency, rms",
-    Fold.EUCLIDEAN,
-    needs=Data.EFFORT,
+CHATTER = _of_effort(
+    *("chatter", "chatter", "N m", "effort above the cut-off frequency, rms", Fold.EUCLIDEAN),
     else_undefined=NO_SPECTRUM,
 )
-ENERGY = Quantity("energy", "energy", "J", "mechanical work exchanged", needs=Data.EFFORT)
+ENERGY = _of_effort("energy", "energy", "J", "mechanical work exchanged")
 
 STEP_QUANTITIES = (RISE_TIME, SETTLING_TIME, OVERSHOOT, STEADY_STATE_ERROR)
 """Defined for joints whose reference steps."""

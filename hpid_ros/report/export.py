@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from hpid_ros.base.text import csv_text, shown
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.folding import BySeed, EngineTotal, median
+from hpid_ros.metrics.folding import EngineTotal, median
 from hpid_ros.metrics.quantities import (
     EFFORT_L2,
     ERROR_L2,
@@ -50,7 +50,7 @@ def engine_grids(totals: Sequence[EngineTotal], note: str) -> list[Grid]:
 
 def engines_csv(totals: Sequence[EngineTotal]) -> str:
     """Return every number of every seed in both engines, at full precision."""
-    engines = _engines(totals)
+    engines = tuple(totals[0].values)
     names = ("experiment", "controller", "seed", "quantity", "unit")
     rows: list[list[object]] = [[*names, *engines, "distance"]]
     for total in totals:
@@ -58,7 +58,10 @@ def engines_csv(totals: Sequence[EngineTotal]) -> str:
         for seed in sorted({*against, *own}):
             pair = EngineTotal(
                 *(total.experiment, total.controller, total.quantity),
-                {engine: _only(seed, each) for engine, each in total.values.items()},
+                {
+                    engine: {seed: each[seed]} if seed in each else {}
+                    for engine, each in total.values.items()
+                },
             )
             distance = "" if pair.distance is None else pair.distance
             run = (total.experiment, total.controller, seed)
@@ -129,16 +132,8 @@ def _row(total: EngineTotal, *, is_repeated: bool) -> tuple[str, ...]:
     )
 
 
-def _only(seed: int, numbers: BySeed) -> BySeed:
-    return {seed: numbers[seed]} if seed in numbers else {}
-
-
-def _engines(totals: Sequence[EngineTotal]) -> tuple[str, ...]:
-    return tuple(totals[0].values)
-
-
 def _names(totals: Sequence[EngineTotal]) -> tuple[str, ...]:
-    return tuple(NAMES.get(engine, engine) for engine in _engines(totals))
+    return tuple(NAMES.get(engine, engine) for engine in totals[0].values)
 
 
 CSV_COLUMNS = (

@@ -7,6 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
+import yaml
 from harness.bags import (
     JOINT_STATE,
     MS,
@@ -85,22 +86,18 @@ def test_labels_name_the_bags_and_equal_labels_are_repeats(run, result):
 def test_labels_that_were_exchanged_are_noticed_by_the_law_that_ran(run, result):
     bags = [result / "bags" / "PID", result / "bags" / "hPID"]
     _, _, errors = run(*bags, "--labels", "hPID", "PID")
-    assert "run 'hPID': its controllers ran law 'pid': were two labels exchanged?" in errors
-    assert "run 'PID': its controllers ran law 'hpid': were two labels exchanged?" in errors
-    for labels in (("PID", "hPID"), ("before", "after"), ("pid_tuned", "hpid_tuned")):
+    for label, law in (("hPID", "pid"), ("PID", "hpid")):
+        assert f"run {label!r}: its controllers ran law {law!r}: were two" in errors
+    for labels in (("before", "after"), ("pid_tuned", "hpid_tuned")):
         assert run(*bags, "--labels", *labels)[2] == ""
 
 
 def test_a_label_in_the_bags_metadata_is_taken(run, result, tmp_path):
-    import yaml
-
-    bag = tmp_path / "0001"
-    shutil.copytree(result / "bags" / "PID", bag)
+    bag = shutil.copytree(result / "bags" / "PID", tmp_path / "0001")
     metadata = yaml.safe_load((bag / "metadata.yaml").read_text())
     metadata["rosbag2_bagfile_information"]["custom_data"] = {"label": "my arm"}
     (bag / "metadata.yaml").write_text(yaml.safe_dump(metadata))
-    _, printed, _ = run(bag, result / "bags" / "hPID", "--json")
-    assert list(json.loads(printed)["runs"]) == ["my arm", "hPID"]
+    assert list(json.loads(run(bag, "--json")[1])["runs"]) == ["my arm"]
 
 
 def test_the_baseline_is_chosen_by_path_or_label_and_may_be_another_bag(run, result):
@@ -225,12 +222,9 @@ def test_indices_and_units_are_chosen_and_units_always_printed(run, result):
     assert "arm_joint_1" not in table
 
 
-def test_the_format_has_two_spellings(run, result):
+def test_formats_limits_and_cutoffs_reach_what_they_are_for(run, result):
     for name in ("csv", "json", "latex"):
         assert run(result, f"--{name}")[1] == run(result, "--format", name)[1] != ""
-
-
-def test_a_limit_and_a_cutoff_reach_the_indices(run, result):
     _, printed, _ = run(result, "--effort-limit", "1e-9", "--cutoff", "50", "--json")
     runs = json.loads(printed)["runs"]
     assert runs["PID"]["totals"]["saturation"] > 90.0
@@ -261,8 +255,8 @@ def test_saved_numbers_alone_draw_the_trade_off_and_say_what_is_missing(run, res
     assert "only runs from bags are drawn" in errors
 
 
-def test_nothing_is_replaced_unless_forced(run, result, tmp_path):
-    target = tmp_path / "mine.json"
+def test_nothing_is_replaced_unless_forced_and_figures_only_figures_of_ours(run, result, tmp_path):
+    target, folder = tmp_path / "mine.json", tmp_path / "figures"
     target.write_text("mine")
     code, printed, errors = run(result, "--save", target)
     assert (code, printed, target.read_text()) == (BAD_INPUT, "", "mine")
@@ -270,12 +264,7 @@ def test_nothing_is_replaced_unless_forced(run, result, tmp_path):
     assert errors == named
     assert run(result, "--save", target, "--force")[0] == DONE
     assert json.loads(target.read_text())["indices"] == saved_indices(result)
-
-
-def test_figures_replace_figures_of_ours_and_nothing_else(run, result, tmp_path):
-    folder = tmp_path / "figures"
-    numbers = result / "result.json"
-    command = (numbers, "--figures", folder, "--formats", "png")
+    command = (result / "result.json", "--figures", folder, "--formats", "png")
     assert run(*command)[0] == DONE
     (folder / "photo.png").write_text("mine")
     assert run(*command)[0] == BAD_INPUT

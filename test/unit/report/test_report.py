@@ -218,21 +218,14 @@ def test_wide_things_scroll_in_boxes_of_their_own(text):
         assert "</div>" not in text[box:start]
 
 
-def test_losses_are_said_at_the_top_and_listed(text, runs):
-    page = Page(text)
-    words = "".join(page.text)
+def test_losses_parameters_and_provenance_are_listed(text):
+    words = "".join(Page(text).text)
     assert "hPID lost samples in elbow: unanswered states 3, repeated commands 0" in words
     assert "PID: none. Each joint has 301 states and 301 commands." in words
     assert 'class="warning"' not in report([response("PID", 0.6), response("hPID", 1.2)])
-
-
-def test_parameters_that_joints_share_are_said_once_and_others_by_joint(text):
+    # What joints share is said once.
     assert text.count("The same for all joints:") == text.count("<li>law = pid</li>") == 2
-    assert "gains.p" in text
     assert "<td>4.5</td>" in text
-
-
-def test_provenance_is_flat_and_complete(text):
     for name, value in (("seed", "7"), ("versions.numpy", "2.0.0"), ("versions.rclpy", "–")):
         assert f'<th scope="row">{name}</th><td>{value}</td>' in text
 
