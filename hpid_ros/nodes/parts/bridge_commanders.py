@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 from hpid_ros.base.names import controller_name
 from hpid_ros.nodes.parts.joint_topics import node_of
-from hpid_ros.nodes.parts.merger import JointCounts
+from hpid_ros.nodes.parts.merger import JointCounts, is_by_another
 from hpid_ros.simulation.lockstep import AnswerCounts, FollowedSender
 
 
@@ -62,22 +62,12 @@ class HeldCommands:
                 continue
             counts.answered += 1
             counts.stale += stamp_ns != self._stamp_ns
-            counts.conflicting += self._is_by_another(name, stamp_ns, effort)
+            last = self._last.get(name, (0, 0.0))
+            counts.conflicting += is_by_another(*last, stamp_ns, effort)
             self._last[name] = stamp_ns, effort
             effort = counts.checked(effort, self._limits.get(name, math.inf))
             self._held[name] = self._stamp_ns, effort
         return False
-
-    def _is_by_another(self, name: str, stamp_ns: int, effort: float) -> bool:
-        """Return whether a command does not continue the joint's last one.
-
-        One controller answers each state once, in their order; it repeats itself, and leaves
-        with an effort of zero. Commands without stamps say nothing about their order.
-        """
-        before_ns, before = self._last.get(name, (0, 0.0))
-        if effort == 0.0 or before_ns == 0:
-            return False
-        return stamp_ns < before_ns or (stamp_ns == before_ns and effort != before)
 
     def time_out(self) -> tuple[str, ...]:
         """Return the joints that are no longer waited for: none ever was."""

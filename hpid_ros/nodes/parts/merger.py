@@ -121,19 +121,19 @@ class Receiver:
         self._given = tuple(joints)
         self._topic = topic
         self._endpoints: frozenset[bytes] = frozenset()
-        self._told: tuple[str, ...] = ()
+        self._own_joints: tuple[str, ...] = ()
         self._refusal = ""
         self._state: str | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
         """The order of the commands; empty while it is not known."""
-        return self._told if self.name else self._given
+        return self._own_joints if self.name else self._given
 
     @property
     def must_be_asked(self) -> bool:
         """Whether it is there and has not said which joints it has."""
-        return bool(self.name and self._endpoints and not self._told and not self._refusal)
+        return bool(self.name and self._endpoints and not self._own_joints and not self._refusal)
 
     @property
     def is_refused(self) -> bool:
@@ -158,13 +158,13 @@ class Receiver:
             return f"{self.name} is {self._state}, and discards what it is sent"
         return ""
 
-    def see(self, endpoints: frozenset[bytes]) -> bool:
+    def note_endpoints(self, endpoints: frozenset[bytes]) -> bool:
         """Take note of its subscriptions to the commands."""
         is_new = bool(endpoints - self._endpoints)
         if is_new:
-            self._told, self._refusal = (), ""
+            self._own_joints, self._refusal = (), ""
         if not endpoints:
-            self._told, self._refusal, self._state = (), "", None
+            self._own_joints, self._refusal, self._state = (), "", None
         self._endpoints = endpoints
         return is_new
 
@@ -174,9 +174,9 @@ class Receiver:
     def note_joints(self, joints: Sequence[str] | None, interface: str | None) -> None:
         """Take note of what it says of itself."""
         try:
-            self._told, self._refusal = self._checked(joints, interface), ""
+            self._own_joints, self._refusal = self._checked(joints, interface), ""
         except SettingError as error:
-            self._told, self._refusal = (), f"nothing is sent to {self.name}: {error}"
+            self._own_joints, self._refusal = (), f"nothing is sent to {self.name}: {error}"
 
     def _checked(self, joints: Sequence[str] | None, interface: str | None) -> tuple[str, ...]:
         if joints is None:
@@ -324,6 +324,17 @@ class JointCounts:
     conflicting: int = 0
 
 
+def is_by_another(before_ns: int, before: float, stamp_ns: int, effort: float) -> bool:
+    """Return whether a command does not continue a joint's last one, given by stamp and effort.
+
+    One controller answers each state once, in their order; it repeats itself, and leaves
+    with an effort of zero. Commands without stamps say nothing about their order.
+    """
+    if effort == 0.0 or before_ns == 0:
+        return False
+    return stamp_ns < before_ns or (stamp_ns == before_ns and effort != before)
+
+
 class _Fade(NamedTuple):
     """How a joint comes back."""
 
@@ -391,7 +402,9 @@ class CommandMerger:
             counts.invalid += 1
             return None
         counts.commands += 1
-        counts.conflicting += not is_signed and self._is_by_another(index, stamp_ns, effort)
+        if not is_signed and index not in self._silent:
+            last = self.rounds.stamp_of(index) or 0, self._efforts[index]
+            counts.conflicting += is_by_another(*last, stamp_ns, effort)
         if index in self._silent:
             self._return(index, counts, now_ns)
         self._heard_ns[index] = now_ns
@@ -447,17 +460,6 @@ class CommandMerger:
         if self.has_begun and self._fade_in_ns:
             for index in set(range(len(self._joints))) - self._silent:
                 self._fades[index] = _Fade(now_ns, effort)
-
-    def _is_by_another(self, index: int, stamp_ns: int, effort: float) -> bool:
-        """Return whether a command does not continue the joint's last one.
-
-        One controller answers each state once, in their order; it repeats itself, and leaves
-        with an effort of zero. Commands without stamps say nothing about their order.
-        """
-        before_ns = self.rounds.stamp_of(index)
-        if index in self._silent or not before_ns or effort == 0.0:
-            return False
-        return stamp_ns < before_ns or (stamp_ns == before_ns and effort != self._efforts[index])
 
     def _return(self, index: int, counts: JointCounts, now_ns: int) -> None:
         self._silent.remove(index)

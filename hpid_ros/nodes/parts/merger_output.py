@@ -198,7 +198,7 @@ class ReceiverWatch:
             return
         matches = self._output.matches  # before the graph is asked, which knows of all of them
         endpoints, are_all_known = self._endpoints()
-        if self._receiver.see(endpoints):
+        if self._receiver.note_endpoints(endpoints):
             self._is_asking = False
             self._requests += 1  # who was asked before is not the one that is there now
         if self._receiver.must_be_asked:

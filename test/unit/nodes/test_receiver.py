@@ -11,7 +11,7 @@ NAME, TOPIC = "/arm_controller", "/arm_controller/commands"
 def heard(joints=("b", "a"), interface="effort", given=()):
     """Return a receiver that has subscribed and said what it has."""
     receiver = Receiver(NAME, given, TOPIC)
-    receiver.see(ONE)
+    receiver.note_endpoints(ONE)
     receiver.note_joints(joints, interface)
     return receiver
 
@@ -19,7 +19,7 @@ def heard(joints=("b", "a"), interface="effort", given=()):
 def test_whoever_subscribes_gets_the_order_that_was_given():
     receiver = Receiver("", ("b", "a"), "/commands")
     assert receiver.reason == "waiting for somebody to subscribe to /commands"
-    receiver.see(ONE)
+    receiver.note_endpoints(ONE)
     assert (receiver.reason, receiver.joints, receiver.must_be_asked) == ("", ("b", "a"), False)
 
 
@@ -27,7 +27,7 @@ def test_a_controller_is_asked_for_its_joints_before_it_gets_anything():
     receiver = Receiver(NAME, (), TOPIC)
     assert receiver.reason == f"waiting for {NAME} to subscribe to {TOPIC}"
     assert not receiver.must_be_asked
-    receiver.see(ONE)
+    receiver.note_endpoints(ONE)
     assert receiver.must_be_asked
     assert receiver.reason == f"waiting for {NAME} to say which joints it has"
     receiver.note_joints(["b", "a"], "effort")
@@ -37,16 +37,16 @@ def test_a_controller_is_asked_for_its_joints_before_it_gets_anything():
 @pytest.mark.parametrize("steps", [[OTHER], [frozenset(), ONE], [ONE | OTHER]])
 def test_a_new_one_of_its_name_is_asked_again(steps):
     receiver = heard()
-    assert [receiver.see(endpoints) for endpoints in steps][-1]
+    assert [receiver.note_endpoints(endpoints) for endpoints in steps][-1]
     assert receiver.must_be_asked
     assert receiver.reason
 
 
 def test_one_that_stays_is_not_asked_again():
     receiver = heard()
-    receiver.see(ONE | OTHER)
+    receiver.note_endpoints(ONE | OTHER)
     receiver.note_joints(["b", "a"], "effort")
-    assert not receiver.see(OTHER)
+    assert not receiver.note_endpoints(OTHER)
     assert receiver.reason == ""
 
 
@@ -63,8 +63,8 @@ def test_a_controller_that_is_deactivated_gets_nothing_until_it_is_active_again(
 def test_what_was_known_of_one_that_has_gone_is_forgotten():
     receiver = heard()
     receiver.note_state("inactive")
-    receiver.see(frozenset())
-    receiver.see(OTHER)
+    receiver.note_endpoints(frozenset())
+    receiver.note_endpoints(OTHER)
     receiver.note_joints(["c"], None)
     assert (receiver.reason, receiver.joints) == ("", ("c",))
 
