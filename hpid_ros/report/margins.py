@@ -283,65 +283,39 @@ def _title(name: str, report: LoopReport, worst: Case) -> str:
     return f"{figure_text(name)}{state}\n{joint}"
 
 
+# Looks of the band's ends: where the law is at rest, and the other one.
+_DASHES = (0, _BAND.dashes or ())
+_AT_REST: dict[str, Any] = {"color": _BAND.color, "linewidth": 1.4, "linestyle": _DASHES}
+_MOVING: dict[str, Any] = {"color": _BAND.color, "linewidth": 0.8}
+
+
 def _handles(family: LoopFamily, lines: _Lines) -> list[Line2D]:
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=_LINE.color, linewidth=1.8, label="PID (lam = 1)")
-    ]
+    handles: list[Any] = [Line2D([], [], color=_LINE.color, linewidth=1.8, label="PID (lam = 1)")]
     if lines.band:
         least, largest = family.multipliers[0], family.multipliers[-1]
-        handles.append(
-            Patch(
-                facecolor=_BAND.tint,
-                edgecolor=_BAND.color,
-                label=f"hPID, lam frozen in [{least:.3g}, {largest:.3g}]",
-            )
-        )
-        handles.append(
-            Line2D(
-                [],
-                [],
-                color=_BAND.color,
-                linewidth=1.4,
-                linestyle=(0, _BAND.dashes or ()),
-                label=f"at rest, lam = {family.at_rest:.3g}",
-            )
-        )
+        label = f"hPID, lam frozen in [{least:.3g}, {largest:.3g}]"
+        handles.append(Patch(facecolor=_BAND.tint, edgecolor=_BAND.color, label=label))
+        label = f"at rest, lam = {family.at_rest:.3g}"
+        handles.append(Line2D([], [], label=label, **_AT_REST))
     if lines.points is not None:
         handles.append(_dots([], [], "measured"))
-    return handles  # type: ignore[return-value]  # a legend takes patches as well
+    return handles
 
 
-def _draw_band(panel: Axes, lines: _Lines, values: list[Numbers]) -> None:
-    """Fill between the least and the largest of the band's lines, and draw its ends."""
-    if not values:
-        return
-    stacked = np.array(values)
-    panel.fill_between(
-        lines.hertz, stacked.min(axis=0), stacked.max(axis=0), color=_BAND.tint, linewidth=0
-    )
-    for values_at, is_at_rest in _ends(lines, values):
-        panel.add_line(_edge(lines.hertz, values_at, is_at_rest))
-
-
-def _ends(lines: _Lines, values: list[Any]) -> list[tuple[Any, bool]]:
-    """Return the ends of the band, each with whether the law is at rest there."""
-    return [
-        (values[0], not lines.is_greatest_at_rest),
-        (values[-1], lines.is_greatest_at_rest),
-    ]
-
-
-def _edge(x: Numbers, y: Numbers, is_at_rest: bool) -> Line2D:
-    """Return a line at the end of the band."""
-    line = Line2D(x, y, color=_BAND.color, linewidth=1.4 if is_at_rest else 0.8, zorder=3)
-    if is_at_rest:
-        line.set_linestyle((0, _BAND.dashes or ()))
-    return line
+def _draw_ends(panel: Axes, lines: _Lines, x: list[Numbers], y: list[Numbers]) -> None:
+    """Draw the ends of the band."""
+    looks = (_MOVING, _AT_REST) if lines.is_greatest_at_rest else (_AT_REST, _MOVING)
+    for end, look in zip((0, -1), looks, strict=True):
+        panel.plot(x[end], y[end], zorder=3, **look)
 
 
 def _draw_line(panel: Axes, lines: _Lines, function: Callable[[Complexes], Numbers]) -> None:
     """Draw band, line and points of a function of the open loop."""
-    _draw_band(panel, lines, [function(each) for each in lines.band])
+    if lines.band:
+        values = [function(each) for each in lines.band]
+        ends = np.min(values, axis=0), np.max(values, axis=0)
+        panel.fill_between(lines.hertz, *ends, color=_BAND.tint, linewidth=0)
+        _draw_ends(panel, lines, [lines.hertz] * 2, values)
     panel.plot(lines.hertz, function(lines.pid), color=_LINE.color, linewidth=1.5)
     if lines.points is not None:
         panel.add_line(_dots(lines.points[0], function(lines.points[1])))
@@ -468,12 +442,13 @@ def _draw_nyquist(
     if extreme is not None:
         disk = _disk(extreme)
         disk.set(facecolor="none", edgecolor=_BAND.color, linewidth=1.0, zorder=3.5)
-        disk.set_linestyle((0, _BAND.dashes or ()))
+        disk.set_linestyle(_DASHES)
         panel.add_patch(disk)
     for response in lines.band:
         panel.plot(response.real, response.imag, color=_BAND.tint, linewidth=1.6, zorder=2)
-    for response, is_at_rest in _ends(lines, lines.band) if lines.band else ():
-        panel.add_line(_edge(response.real, response.imag, is_at_rest))
+    if lines.band:
+        real, imaginary = ([getattr(r, part) for r in lines.band] for part in ("real", "imag"))
+        _draw_ends(panel, lines, real, imaginary)
     panel.plot(lines.pid.real, lines.pid.imag, color=_LINE.color, linewidth=1.5, zorder=4)
     if lines.points is not None:
         points = lines.points[1]
