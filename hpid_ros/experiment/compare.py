@@ -49,32 +49,22 @@ def run_controller(
         if options.is_realtime and is_tried:
             progress.phase(label, "trying what the machine can hold")
             progress.note(run_trial(experiment, label, options).line)
-        return _run(experiment, label, folder, progress, options)
+        folder.write(EXPERIMENT, experiment.text)
+        bag, nodes = folder.bag(label), folder.nodes(label)
+        report = run_on_graph(experiment, label, bag, nodes, progress, options)
+        progress.advanced(label, experiment.duration)
+        how = f"ROS 2 graph, {report.processes} processes"
+        if not options.is_recorded:
+            save_timing(folder, [report], how)
+            return SingleRun(report, None, folder)
+        result = compute(experiment, {label: bag})
+        save_numbers(result, folder, [report], how)
+        return SingleRun(report, result, folder)
 
 
 def _tell_engine(experiment: Experiment, progress: Progress) -> None:
     if experiment.engine_note:
         progress.note(experiment.engine_note)
-
-
-def _run(
-    experiment: Experiment,
-    label: str,
-    folder: ResultFolder,
-    progress: Progress,
-    options: GraphOptions,
-) -> SingleRun:
-    folder.write(EXPERIMENT, experiment.text)
-    bag, nodes = folder.bag(label), folder.nodes(label)
-    report = run_on_graph(experiment, label, bag, nodes, progress, options)
-    progress.advanced(label, experiment.duration)
-    how = f"ROS 2 graph, {report.processes} processes"
-    if not options.is_recorded:
-        save_timing(folder, [report], how)
-        return SingleRun(report, None, folder)
-    result = compute(experiment, {label: bag})
-    save_numbers(result, folder, [report], how)
-    return SingleRun(report, result, folder)
 
 
 @dataclass(frozen=True)

@@ -223,7 +223,8 @@ def run_on_graph(
             group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
         processes = len(group.nodes)
         group.stop(patience=_LEAVE_WITHIN)
-        run.take_last_events()
+        for node in group.nodes.values():  # what they said when they ended
+            run.take_events(node)
         finished = run.events[nodes.bridge, "finished"]
         timing = run_timing(finished, run.timing)
         return RunReport(
@@ -256,11 +257,6 @@ class _GraphRun:
         self._progress.phase(self._label, "starting the nodes")
         for node in self._nodes.start(self._group):
             self._selector.register(node.events, selectors.EVENT_READ, node)
-
-    def take_last_events(self) -> None:
-        """Read what the nodes said when they ended."""
-        for node in self._group.nodes.values():
-            self._take_events(node)
 
     def wait_for(self, event: str, node: str, within: float | None, what: str) -> None:
         """Wait for an event of a node."""
@@ -302,7 +298,7 @@ class _GraphRun:
         while not is_true():
             ready = self._selector.select(timeout=0.05)
             for key, _ in ready:
-                self._take_events(key.data)
+                self.take_events(key.data)
             self._look_after_nodes()
             raise_if_interrupted()
             if within is not None and left() < before:
@@ -310,16 +306,14 @@ class _GraphRun:
             if deadline is not None and time.monotonic() > deadline and not is_true():
                 raise RunError(f"{self._label}: waited {within:g} s in vain for {what()}")
 
-    def _take_events(self, node: NodeProcess) -> None:
+    def take_events(self, node: NodeProcess) -> None:
+        """Read what a node has said, and stop listening to one that has ended."""
         events = node.read_events()
-        if not events and node.process.poll() is not None:
-            self._forget(node)
+        has_ended = not events and node.process.poll() is not None
+        if has_ended and node.events in self._selector.get_map():
+            self._selector.unregister(node.events)
         for event in events:
             self._on_event(node.name, event)
-
-    def _forget(self, node: NodeProcess) -> None:
-        if node.events in self._selector.get_map():
-            self._selector.unregister(node.events)
 
     def _on_event(self, node: str, event: Mapping[str, Any]) -> None:
         name = str(event["event"])

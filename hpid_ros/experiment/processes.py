@@ -28,7 +28,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, ClassVar
 
 from hpid_ros.base.errors import RunError
@@ -330,9 +329,8 @@ class NodeGroup:
         is_batch: bool = False,
         prefix: Sequence[str] = (),
     ) -> None:
+        self._environment, self._logs = environment, logs
         self._is_batch, self._prefix = is_batch, prefix
-        self._environment = environment
-        self._logs = logs
         self.nodes: dict[str, NodeProcess] = {}
 
     def start(
@@ -347,18 +345,17 @@ class NodeGroup:
         """Start a node."""
         log = self._logs / f"{name}.log"
         with uninterrupted():
-            node = NodeProcess(
+            self.nodes[name] = node = NodeProcess(
                 name,
                 executable,
                 arguments,
                 self._environment,
                 log,
-                is_renamed=is_renamed,
-                is_batch=self._is_batch,
-                prefix=self._prefix,
-                has_input=has_input,
+                is_renamed,
+                self._is_batch,
+                self._prefix,
+                has_input,
             )
-            self.nodes[name] = node
         return node
 
     def stop(self, names: Sequence[str] | None = None, patience: float = 1.5) -> None:
@@ -369,12 +366,7 @@ class NodeGroup:
     def __enter__(self) -> NodeGroup:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
         for node in self.nodes.values():
             os.close(node.events)

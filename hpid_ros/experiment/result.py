@@ -18,7 +18,7 @@ from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import RunReport
 from hpid_ros.experiment.result_folder import ResultFolder, versions
 from hpid_ros.messages.messages import read_planar, read_poses, read_statuses, read_vectors
-from hpid_ros.messages.reports import POSE, Status
+from hpid_ros.messages.reports import POSE
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries
 from hpid_ros.metrics.comparison import Comparison
@@ -51,6 +51,9 @@ from hpid_ros.simulation.gripper import (
 )
 from hpid_ros.simulation.reports import ODOM, SLIP, TRUTH
 from hpid_ros.simulation.settings import WorldSettings
+
+_PATH_POINTS = 4000
+_log = logging.getLogger(__name__)
 
 
 def base_results(
@@ -98,52 +101,6 @@ def reference_poses(
 _PATH_POINTS = 4000
 
 
-@dataclass(frozen=True, eq=False)
-class TaskResult:
-    """The task of each run."""
-
-    end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
-    bricks: Mapping[str, tuple[BrickFigures, ...]] = field(default_factory=dict)
-    paths: tuple[EndEffectorPath, ...] = ()  # the paths of the end effector, for the figure
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return ``end_effector`` and ``bricks``, each by run; without what there is not."""
-        mapping: dict[str, object] = {}
-        if self.end_effectors:
-            mapping["end_effector"] = {
-                label: asdict(each) for label, each in self.end_effectors.items()
-            }
-        if self.bricks:
-            mapping["bricks"] = {
-                label: {brick.name: brick.as_mapping() for brick in each}
-                for label, each in self.bricks.items()
-            }
-        return mapping
-
-    @property
-    def notes(self) -> list[str]:
-        """Lines that belong below the table of a brick task; none for any other."""
-        return task_notes(tuple(self.end_effectors.items()), tuple(self.bricks.items()))
-
-
-def task_result(
-    experiment: Experiment, bags: Mapping[str, Path], runs: Sequence[RunSeries]
-) -> TaskResult:
-    """Compute the task of each run."""
-    frame = _frame(experiment)
-    end_effectors, bricks, paths = {}, {}, []
-    for run in runs:
-        bag = bags[run.label]
-        if frame is not None:
-            end_effector = EndEffector(frame, run)
-            truth = read_poses(bag, END_EFFECTOR, POSE)
-            end_effectors[run.label] = end_effector.figures(truth)
-            paths.append(end_effector.path(_PATH_POINTS))
-        if experiment.world.workplace.bricks:
-            bricks[run.label] = brick_figures(experiment, bag)
-    return TaskResult(end_effectors, bricks, tuple(paths))
-
-
 def brick_figures(experiment: Experiment, bag: Path) -> tuple[BrickFigures, ...]:
     """Return what became of each brick.
 
@@ -161,30 +118,26 @@ def brick_figures(experiment: Experiment, bag: Path) -> tuple[BrickFigures, ...]
         if goal is not None and poses is not None:
             position, orientation = poses.positions[-1, index], poses.orientations[-1, index]
             errors = _from_place(goal, position.tolist(), orientation.tolist())
-        figures.append(_brick(brick.name, own, errors))
+        outcomes = [event.message.partition(":")[0] for event in own]
+        closing = [
+            event.values
+            for event, outcome in zip(own, outcomes, strict=True)
+            if outcome in (GRASPED, MISSED)
+        ]
+        reasons = [event.message.partition(": ")[2] for event in own if event.level]
+        figures.append(
+            BrickFigures(
+                name=brick.name,
+                grasped=GRASPED in outcomes,
+                distance=float(closing[0][DISTANCE]) if closing else None,
+                angle=float(closing[0][ANGLE]) if closing else None,
+                lost=LOST in outcomes,
+                position_error=errors[0],
+                orientation_error=errors[1],
+                reason=reasons[0] if reasons else "",
+            )
+        )
     return tuple(figures)
-
-
-def _brick(
-    name: str, events: Sequence[Status], errors: tuple[float | None, float | None]
-) -> BrickFigures:
-    outcomes = [event.message.partition(":")[0] for event in events]
-    closing = [
-        event
-        for event, outcome in zip(events, outcomes, strict=True)
-        if outcome in (GRASPED, MISSED)
-    ]
-    reasons = [event.message.partition(": ")[2] for event in events if event.level]
-    return BrickFigures(
-        name=name,
-        grasped=GRASPED in outcomes,
-        distance=float(closing[0].values[DISTANCE]) if closing else None,
-        angle=float(closing[0].values[ANGLE]) if closing else None,
-        lost=LOST in outcomes,
-        position_error=errors[0],
-        orientation_error=errors[1],
-        reason=reasons[0] if reasons else "",
-    )
 
 
 def _from_place(
@@ -209,9 +162,6 @@ def _frame(experiment: Experiment) -> TaskFrame | None:
     return TaskFrame(description, experiment.end_effector, world.base, world.initial_positions)
 
 
-_log = logging.getLogger(__name__)
-
-
 @dataclass(frozen=True)
 class Result:
     """A comparison, computed."""
@@ -220,7 +170,9 @@ class Result:
     runs: tuple[RunSeries, ...]  # the recorded runs, the baseline first
     comparison: Comparison  # their numbers
     base: Mapping[str, BaseFigures] = field(default_factory=dict)
-    task: TaskResult = field(default_factory=TaskResult)
+    end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
+    bricks: Mapping[str, tuple[BrickFigures, ...]] = field(default_factory=dict)
+    paths: tuple[EndEffectorPath, ...] = ()  # of the end effector, for the figure
 
     def as_mapping(self) -> dict[str, object]:
         """Return everything that the experiment determines, and nothing that the clock does.
@@ -230,6 +182,15 @@ class Result:
         asks again when a machine was slow, and the answer to a repeat is the same.
         """
         experiment = self.experiment
+        optional = {
+            "unfollowed": unfollowed_mapping(self.runs),
+            "base": {label: asdict(each) for label, each in self.base.items()},
+            "end_effector": {k: asdict(each) for k, each in self.end_effectors.items()},
+            "bricks": {
+                label: {brick.name: brick.as_mapping() for brick in each}
+                for label, each in self.bricks.items()
+            },
+        }
         return {
             "experiment": experiment.name,
             "sha256": experiment.digest,
@@ -250,26 +211,16 @@ class Result:
                 }
                 for run in self.runs
             },
-            **self._unfollowed(),
-            **self._of_the_base(),
-            **self.task.as_mapping(),
+            **{key: each for key, each in optional.items() if each},
             "parameters": self.parameters(),
         }
-
-    def _unfollowed(self) -> dict[str, object]:
-        found = unfollowed_mapping(self.runs)
-        return {"unfollowed": found} if found else {}
-
-    def _of_the_base(self) -> dict[str, object]:
-        if not self.base:
-            return {}
-        return {"base": {label: asdict(each) for label, each in self.base.items()}}
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines that belong below the table: what a reader must know of the runs."""
         slips = [each.line(label) for label, each in self.base.items() if each.has_slipped]
-        return (*unfollowed_lines(self.runs), *self.task.notes, *slips)
+        task = task_notes(tuple(self.end_effectors.items()), tuple(self.bricks.items()))
+        return (*unfollowed_lines(self.runs), *task, *slips)
 
     def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
         """Return every parameter by run, joint and name."""
@@ -291,7 +242,18 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
             _log.warning("%s", shown(f"run {run.label!r}: {line}"))
     comparison = Comparison(tuple(each.run for each in measured))
     base = base_results(experiment, bags, runs)
-    return Result(experiment, runs, comparison, base, task_result(experiment, bags, runs))
+    frame = _frame(experiment)
+    end_effectors, bricks, paths = {}, {}, []
+    for run in runs:
+        bag = bags[run.label]
+        if frame is not None:
+            end_effector = EndEffector(frame, run)
+            truth = read_poses(bag, END_EFFECTOR, POSE)
+            end_effectors[run.label] = end_effector.figures(truth)
+            paths.append(end_effector.path(_PATH_POINTS))
+        if experiment.world.workplace.bricks:
+            bricks[run.label] = brick_figures(experiment, bag)
+    return Result(experiment, runs, comparison, base, end_effectors, bricks, tuple(paths))
 
 
 def save_numbers(
@@ -330,7 +292,7 @@ def save(
     folder.write("table.csv", table_csv(result.comparison))
     folder.write("table.tex", table_latex(result.comparison))
     gains = _gain_signals(result)
-    paths = result.task.paths
+    paths = result.paths
     if has_figures:
         from hpid_ros.report.plots import save_figures
 
