@@ -48,6 +48,13 @@ class TopicBatch(NamedTuple):
         start = int(self.starts[index])
         return self.buffer[start : start + int(self.sizes[index])].tobytes()
 
+    def raws(self) -> Iterator[bytes]:
+        return map(self.raw, range(len(self.starts)))
+
+    def picked(self, which: NDArray[np.bool_]) -> TopicBatch:
+        """Return some of the messages."""
+        return TopicBatch(self.topic, self.buffer, *(part[which] for part in self[2:]))
+
 
 def batch_of(
     topic: str, raws: Sequence[bytes], log_times_ns: Integers, places: Integers

@@ -444,7 +444,7 @@ class JointStream:
             if is_size.all():
                 self._add_size(batch, size)
                 return
-            self._add_size(TopicBatch(batch.topic, batch.buffer, *_picked(batch, is_size)), size)
+            self._add_size(batch.picked(is_size), size)
             left = left[left != size]
 
     def joints(self) -> frozenset[str]:
@@ -562,7 +562,3 @@ def _equal_rows(rows: Words) -> list[Integers]:
     is_new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
     groups = np.split(order, np.flatnonzero(is_new) + 1)
     return sorted(groups, key=lambda group: int(group[0]))
-
-
-def _picked(batch: TopicBatch, which: Mask) -> Iterator[Integers]:
-    return (part[which] for part in (batch[2], batch[3], batch[4], batch[5]))

@@ -46,10 +46,10 @@ def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
             return []
         name = find_topic(where, topic, known, (kind,))
         found = []
-        for batch in storage.batches(frozenset({name}), lambda share: None):
-            for index in range(len(batch.starts)):
+        for batch in storage.batches(frozenset({name})):
+            for raw in batch.raws():
                 try:
-                    found.append(deserialize(batch.raw(index), kind))
+                    found.append(deserialize(raw, kind))
                 # rosbags lets whatever its generated code trips over escape.
                 except Exception as error:
                     line = f"{where}: a message on {name} is no {kind}: {error!r}"
@@ -167,10 +167,10 @@ def read_robot_descriptions(bag: Path, namespace: str | None = None) -> list[tup
             and name.rpartition("/")[2] == _DESCRIPTION
             and only in (None, name)
         )
-        for batch in storage.batches(topics, lambda share: None) if topics else ():
-            for index in range(len(batch.starts)):
+        for batch in storage.batches(topics) if topics else ():
+            for raw in batch.raws():
                 with suppress(MessageError):
-                    found[batch.topic] = decode_text(batch.raw(index))
+                    found[batch.topic] = decode_text(raw)
     return sorted(found.items())
 
 
@@ -200,9 +200,9 @@ def parameter_changes(bag: Storage) -> list[ParameterChange]:
 
 
 def _changes(bag: Storage, names: frozenset[str]) -> Iterator[ParameterChange]:
-    for batch in bag.batches(names, lambda share: None):
-        for index in range(len(batch.starts)):
-            event = read_event(batch.raw(index))
+    for batch in bag.batches(names):
+        for index, raw in enumerate(batch.raws()):
+            event = read_event(raw)
             if event is not None:
                 place, log_time_ns = int(batch.places[index]), int(batch.log_times_ns[index])
                 yield ParameterChange(place, log_time_ns, *event)

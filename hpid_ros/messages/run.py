@@ -28,7 +28,13 @@ from hpid_ros.messages.series import (
     SeriesError,
     StampQuality,
 )
-from hpid_ros.messages.storage import Progress, Storage, missed_messages, time_stood_still
+from hpid_ros.messages.storage import (
+    Progress,
+    Storage,
+    missed_messages,
+    no_progress,
+    time_stood_still,
+)
 from hpid_ros.motion.joint_trajectory import Column, PointArrays, checked_column, require_arrays
 
 _SHOWN_JOINTS = 3
@@ -70,7 +76,7 @@ def read_run(
     with Storage(path) as storage:
         where = f"bag {storage.path}"
         try:
-            recording = _recording(storage, where, chosen, progress or (lambda share: None))
+            recording = _recording(storage, where, chosen, progress or no_progress)
         except BagError as error:
             if not storage.unreadable:
                 raise
@@ -225,10 +231,10 @@ def measures_velocity(path: Path, joint: str) -> bool:
     with Storage(path) as bag:
         types = {name: info.type for name, info in bag.topics().items()}
         states = choose_topics(f"bag {path}", types, BagSelection()).states
-        for batch in bag.batches(frozenset(states), lambda share: None):
-            for index in range(len(batch.log_times_ns)):
+        for batch in bag.batches(frozenset(states)):
+            for raw in batch.raws():
                 try:
-                    sample = reader.read(batch.raw(index))
+                    sample = reader.read(raw)
                 except MessageError:
                     continue
                 if sample is not None:

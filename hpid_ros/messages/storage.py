@@ -322,7 +322,7 @@ class SqliteFile:
         for name, numbers in wanted.items():
             is_own = _is_one_of(owner, numbers)
             if is_own.any():
-                yield TopicBatch(name, whole.buffer, *(part[is_own] for part in whole[2:]))
+                yield whole.picked(is_own)._replace(topic=name)
 
 
 def _is_one_of(owners: Integers, numbers: Sequence[int]) -> NDArray[np.bool_]:
@@ -405,6 +405,10 @@ _PLACES_PER_FILE = 1 << 48
 
 Progress = Callable[[float], None]
 """Takes the share of a bag that has been read, in [0, 1]."""
+
+
+def no_progress(share: float) -> None:
+    pass
 
 
 class Storage:
@@ -521,7 +525,9 @@ class Storage:
                     topics[name] = info._replace(message_count=both)
         return topics
 
-    def batches(self, topics: frozenset[str], progress: Progress) -> Iterator[TopicBatch]:
+    def batches(
+        self, topics: frozenset[str], progress: Progress = no_progress
+    ) -> Iterator[TopicBatch]:
         """Yield the messages of some topics, file by file.
 
         What cannot be read is in :attr:`unreadable` afterwards.
@@ -554,9 +560,9 @@ class Storage:
         raws: list[bytes] = []
         kept: list[int] = []
         reason = ""
-        for index in range(len(batch.starts)):
+        for index, raw in enumerate(batch.raws()):
             try:
-                raws.append(decompressed_message(batch.raw(index), allowance))
+                raws.append(decompressed_message(raw, allowance))
             except BagError as error:
                 reason = reason or str(error)
                 continue

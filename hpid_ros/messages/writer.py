@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from hpid_ros.base.errors import BagError, ResultExistsError, unknown_name
 from hpid_ros.messages.batches import TopicBatch
 from hpid_ros.messages.columns import JOINT_TRAJECTORY
-from hpid_ros.messages.storage import Progress, Storage
+from hpid_ros.messages.storage import Progress, Storage, no_progress
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, Qos
@@ -304,7 +304,7 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
             for name, info in sorted(topics.items()):
                 qos = _LATCHED if info.type == JOINT_TRAJECTORY else None
                 handles[name] = writer.add_topic(name, info.type, qos, info.definition)
-            batches = storage.batches(frozenset(topics), progress or (lambda share: None))
+            batches = storage.batches(frozenset(topics), progress or no_progress)
             for message in _in_order(batches):
                 writer.write(handles[message.topic], message.log_time_ns, message.raw)
                 time_ns = message.log_time_ns

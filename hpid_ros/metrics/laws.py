@@ -49,7 +49,7 @@ def _stamps_before(places: Sequence[int], bag: Storage, states: str) -> list[int
     """Return for each place the stamp of the last state before it, None if there is none."""
     stamps: list[int | None] = [None] * len(places)
     last: list[int] = [-1] * len(places)
-    for batch in bag.batches(frozenset((states,)), lambda share: None):
+    for batch in bag.batches(frozenset((states,))):
         before = np.searchsorted(batch.places, places) - 1
         for number, index in enumerate(before.tolist()):
             if index >= 0 and batch.places[index] > last[number] and batch.sizes[index] >= _HEADER:

@@ -175,7 +175,7 @@ def test_a_bag_in_several_files_is_one_run(tmp_path, whole, has_metadata):
     same(run, whole)
     assert len(run.quality.unreadable) == 1 - has_metadata
     with Storage(path) as bag:
-        batches = bag.batches(frozenset({"/joint_states"}), lambda share: None)
+        batches = bag.batches(frozenset({"/joint_states"}))
         times = [time for batch in batches for time in batch.log_times_ns.tolist()]
     assert times == sorted(times)  # the files beyond nine, too
     assert len(times) == COUNT

@@ -38,7 +38,7 @@ def messages(path: Path) -> tuple[list[tuple[str, int, bytes]], list[str]]:
     with Storage(path) as bag:
         found = [
             (int(batch.places[k]), batch.topic, int(batch.log_times_ns[k]), batch.raw(k))
-            for batch in bag.batches(frozenset(bag.topics()), lambda share: None)
+            for batch in bag.batches(frozenset(bag.topics()))
             for k in range(len(batch.starts))
         ]
         return [each[1:] for each in sorted(found)], bag.unreadable
@@ -210,5 +210,5 @@ def test_pages_that_lead_to_each_other_a_thousandfold_are_left(whole, tmp_path):
     assert len(found) <= 2 * STATES
     assert any("rows are not in order" in line for line in unreadable)
     with Storage(path) as bag:  # SQLite finds no row of this topic that it could give
-        assert not list(bag.batches(frozenset({"/joint_trajectory"}), lambda share: None))
+        assert not list(bag.batches(frozenset({"/joint_trajectory"})))
         assert any("are left out: interrupted" in line for line in bag.unreadable)
