@@ -128,15 +128,12 @@ class BagRecorder(executor.ClosingNode):
         self.create_subscription(
             _message_class(type_name),
             topic,
-            self._callback(handle),
+            partial(self._write, handle),
             qos,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=partial(self._miss, topic)),
         )
         self.get_logger().info(f"recording {topic} [{type_name}]")
-
-    def _callback(self, handle: BagTopic) -> Callable[[bytes], Any]:
-        return partial(self._write, handle)
 
     def _miss(self, topic: str, event: Any) -> None:
         """Take from the middleware how many messages never came."""

@@ -204,7 +204,11 @@ def warn_if_unprotected(node: Node) -> None:
     if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
         return
     library = _loaded_middleware()
-    if library is not None and not _has_security(library):
+    if library is None:
+        return
+    with library.open("rb") as stream, mmap.mmap(stream.fileno(), 0, prot=mmap.PROT_READ) as data:
+        has_security = data.find(_MARK) >= 0
+    if not has_security:
         node.get_logger().warning(
             "ROS_SECURITY_ENABLE is set, but this Fast DDS was built without security: nothing is "
             "authenticated or encrypted, and anybody on the network can command this node"
@@ -218,8 +222,3 @@ def _loaded_middleware(maps: Path = Path("/proc/self/maps")) -> Path | None:
         if path.name.startswith(_MIDDLEWARES):
             return path
     return None
-
-
-def _has_security(library: Path) -> bool:
-    with library.open("rb") as stream, mmap.mmap(stream.fileno(), 0, prot=mmap.PROT_READ) as data:
-        return data.find(_MARK) >= 0

@@ -63,7 +63,9 @@ def as_declared(given: Parameter, kind: Parameter.Type) -> Parameter:
         return given
     if kind in (_Type.DOUBLE, _Type.DOUBLE_ARRAY):
         given = _numbers(given, kind)
-    if kind.name.endswith("_ARRAY") and _is_empty(given):
+    # An empty array has no type in YAML: ROS makes booleans of it.
+    is_empty = given.type_ == _Type.BOOL_ARRAY and not len(given.value)
+    if kind.name.endswith("_ARRAY") and is_empty:
         return Parameter(given.name, kind, [])
     if given.type_ == kind:
         return given
@@ -115,11 +117,6 @@ def _numbers(given: Parameter, kind: Parameter.Type) -> Parameter:
     except ValueError:
         pass
     return given
-
-
-def _is_empty(given: Parameter) -> bool:
-    """Return whether an empty array was given, which has no type: YAML makes booleans of it."""
-    return given.type_ == _Type.BOOL_ARRAY and not len(given.value)
 
 
 def _shown(value: object) -> str:

@@ -520,7 +520,8 @@ def coast_down(
     now, then = _inside(Knot(0, position, velocity), braking), Knot(LEAD_NS, *later)
     was_inside = now.position == position  # else it does not go on from where it was
     may_go_on = was_inside and _inside(then, braking) == then
-    if may_go_on and _stopping_distance(then, braking) <= _room(then, braking):
+    speed = abs(then.velocity or 0.0)
+    if may_go_on and 0.5 * speed * _stopping_time(speed, braking) <= _room(then, braking):
         return [now, *_brake(then, braking)]
     return _brake(now, braking)
 
@@ -547,11 +548,6 @@ def _stopping_time(speed: float, braking: Braking) -> float:
     if braking.deceleration:
         return speed / (_RESERVE * braking.deceleration)
     return braking.duration
-
-
-def _stopping_distance(knot: Knot, braking: Braking) -> float:
-    speed = abs(knot.velocity or 0.0)
-    return 0.5 * speed * _stopping_time(speed, braking)
 
 
 def _room(knot: Knot, braking: Braking) -> float:

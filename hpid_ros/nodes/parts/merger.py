@@ -357,6 +357,7 @@ class CommandMerger:
         self.settings = settings
         self.counts = {name: JointCounts() for name in settings.names}
         self.foreign = 0
+        self.shortest_timeout = min(joint.timeout for joint in settings.joints)  # [s]
         self.rounds = Rounds(len(settings.joints), settings.straggler_wait)
         self.has_begun = False
         self.sent = self.sent_whole = 0
@@ -378,10 +379,6 @@ class CommandMerger:
     def silent(self) -> tuple[MergedJoint, ...]:
         """Joints without a usable command that still stands, in their order."""
         return tuple(joint for k, joint in enumerate(self._joints) if k in self._silent)
-
-    @property
-    def shortest_timeout(self) -> float:
-        return min(joint.timeout for joint in self._joints)
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -431,7 +428,8 @@ class CommandMerger:
         deadline_ns = self.rounds.deadline_ns
         if deadline_ns is not None and (now_ns >= deadline_ns or self.rounds.is_complete):
             return self._finish(now_ns)
-        if has_changed or (self._silent and self._repeat_is_due(now_ns)):
+        is_due = self._sent_ns is None or now_ns - self._sent_ns >= self._repeat_ns
+        if has_changed or (self._silent and is_due):
             self.rounds.forget()
             return self._merged(now_ns)
         return None
@@ -504,9 +502,6 @@ class CommandMerger:
             self.counts[joint.name].silences += 1
             self.silences += 1
         return len(self._silent) > before
-
-    def _repeat_is_due(self, now_ns: int) -> bool:
-        return self._sent_ns is None or now_ns - self._sent_ns >= self._repeat_ns
 
     def _finish(self, now_ns: int) -> Merged:
         late = self.rounds.finish(now_ns)
