@@ -4,6 +4,7 @@ import faulthandler
 import os
 import signal
 from collections import Counter
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -44,19 +45,33 @@ def environment_of():
     return loopback_environment
 
 
-@pytest.fixture
-def harness(tmp_path, environment_of):
-    """Return a node of the test and a group of processes, on a domain of their own."""
+@contextmanager
+def harness_on(environment_of, folder):
+    """Yield a node of the test and a group of processes, on a domain of their own."""
     with own_domain() as domain:
         environment = environment_of(domain)
         before = dict(os.environ)
         os.environ.update(environment)
         try:
-            with Harness(domain, environment, tmp_path) as harness:
+            with Harness(domain, environment, folder) as harness:
                 yield harness
         finally:
             os.environ.clear()
             os.environ.update(before)
+
+
+@pytest.fixture
+def harness(tmp_path, environment_of):
+    """Return a harness of this test."""
+    with harness_on(environment_of, tmp_path) as harness:
+        yield harness
+
+
+@pytest.fixture(scope="module")
+def module_harness(tmp_path_factory):
+    """Return a harness of all tests of a module, whose nodes none of them ends."""
+    with harness_on(loopback_environment, tmp_path_factory.mktemp("nodes")) as harness:
+        yield harness
 
 
 class Faults:

@@ -81,8 +81,14 @@ def wait(condition, what):
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("ending", ["SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT"])
-@pytest.mark.parametrize("node", RUNNING, ids=lambda node: " ".join(node[:1] + node[2:]))
+@pytest.mark.parametrize(
+    ("node", "ending"),
+    [
+        *((node, "SIGTERM") for node in RUNNING),
+        *((CONTROLLER, ending) for ending in ("SIGINT", "SIGHUP", "SIGQUIT")),
+    ],
+    ids=str,
+)
 def test_a_node_that_is_ended_leaves_no_port(graph, node, ending):
     process = graph.start(*node).process
     wait(lambda: len(graph.ports()) == 3, "its ports, two of its own and the common one")

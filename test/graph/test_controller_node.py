@@ -1,5 +1,6 @@
 """One controller in a process of its own; the test plays the robot."""
 
+import itertools
 import math
 import os
 from pathlib import Path
@@ -79,28 +80,25 @@ def test_a_set_is_in_force_as_a_whole_from_the_next_sample_on(harness):
         assert harness.ask(*state) == twin.step(*state)
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"gains__p": 20.0, "mu": 0.5}, "Max: 0.4999, value: 0.5"),
-        ({"gains__p": 20.0, "gains__d": math.nan}, "gains.d"),
-        ({"gains__p": 20.0, "gains__i": 1000.0}, "p d = 40 must exceed i x inertia = 500"),
-        ({"gains__p": 20.0, "law": "PID"}, "law must be one of hpid, pid, not 'PID'"),
-        ({"gains__p": 20.0, "joint": "wrist"}, "read-only"),
-        ({"u_clamp_min": 1.0, "u_clamp_max": -1.0}, "u_clamp_min = 1.0 must not exceed"),
-    ],
-)
-def test_a_refused_set_says_why_and_leaves_no_trace(harness, changes, reason):
+HOOK = {"model.payload": 1.0, "model.payload_link": "hook"}
+REFUSED_SETS = [
+    ({"gains__p": 20.0, "mu": 0.5}, "0.4999"),
+    ({"gains__p": 20.0, "gains__d": math.nan}, "gains.d"),
+    ({"gains__p": 20.0, "gains__i": 1000.0}, "p d = 40 must exceed i x inertia = 500"),
+    ({"gains__p": 20.0, "law": "PID"}, "hpid, pid"),
+    ({"gains__p": 20.0, "joint": "wrist"}, "read-only"),
+    ({"u_clamp_min": 1.0, "u_clamp_max": -1.0}, "u_clamp_min"),
+]
+
+
+def test_a_refused_set_says_why_and_leaves_no_trace(harness):
     harness.start_controller(law="pid", inertia=0.5, **GAINS)
-    twin = pure_loop(law="pid", **GAINS)
-    for state in states(5):
-        assert harness.ask(*state) == twin.step(*state)
-    is_successful, why = harness.set_parameters("elbow_controller", **changes)
-    assert not is_successful
-    assert reason in why
-    assert "\n" not in why
-    for state in states(10, start=5):
-        assert harness.ask(*state) == twin.step(*state)
+    twin, samples = pure_loop(law="pid", **GAINS), iter(states(100))
+    for changes, reason in REFUSED_SETS:
+        is_successful, why = harness.set_parameters("elbow_controller", **changes)
+        assert (is_successful, reason in why, "\n" in why) == (False, True, False), why
+        for state in itertools.islice(samples, 5):
+            assert harness.ask(*state) == twin.step(*state)
 
 
 def test_the_robots_effort_limit_holds_whatever_the_clamps_say(harness):
@@ -165,31 +163,25 @@ def test_trajectory_and_setpoint_reach_the_loop(harness):
     harness.wait(holds, what="the loop to hold the setpoint")
 
 
-def descriptions(harness):
+def test_parameters_are_described_and_a_slider_moves_from_end_to_end_without_a_refusal(harness):
+    """rqt and Foxglove draw a slider where there is a range, else a field for a number."""
+    harness.start_controller(law="hpid", **GAINS)
     request = DescribeParameters.Request(names=list(LOOP_PARAMETERS))
     name = "elbow_controller/describe_parameters"
-    return harness.call(DescribeParameters, name, request).descriptors
-
-
-def test_parameters_are_described_with_their_ranges(harness):
-    harness.start_controller(law="pid", **GAINS)
-    for described in descriptions(harness):
+    found = harness.call(DescribeParameters, name, request).descriptors
+    for described in found:
         spec = LOOP_PARAMETERS[described.name]
         assert described.description == spec.description
         if isinstance(spec.default, float):
             allowed = f"from {spec.minimum:g} to {spec.maximum:g}"
             assert described.additional_constraints == allowed
-
-
-def test_a_slider_moves_from_end_to_end_without_a_refusal(harness):
-    """rqt and Foxglove draw a slider where there is a range, else a field for a number."""
-    harness.start_controller(law="hpid", **GAINS)
-    ranges = {each.name: each.floating_point_range for each in descriptions(harness)}
-    sliders = {name: found[0] for name, found in ranges.items() if found}
+    sliders = {
+        each.name: each.floating_point_range[0] for each in found if each.floating_point_range
+    }
     assert set(sliders) == {"mu", "observer.degree"}
     stamps = iter(range(10**9, 10**12, 10**9))
     for name, bounds in sliders.items():
-        for value in np.linspace(bounds.from_value, bounds.to_value, 9):
+        for value in np.linspace(bounds.from_value, bounds.to_value, 5):
             assert harness.set_parameters("elbow_controller", **{name: float(value)}) == (True, "")
             assert abs(harness.ask(next(stamps), 0.1)) < 1e3
 
@@ -206,45 +198,34 @@ MODELLED = {
 @pytest.mark.parametrize(
     ("executable", "parameters", "line"),
     [
-        ("joint_controller", {}, "the parameter joint must name the joint"),
+        ("joint_controller", {}, "joint"),
         ("joint_controller", {"joint": "a", "gain.p": 1.0}, "did you mean 'gains.p'"),
-        (
-            "joint_controller",
-            {"joint": "a", "mu": 1.0},
-            "joint_controller: Parameter mu out of range",
-        ),
-        ("joint_controller", {"joint": "a", "mu": 0.5}, "Max: 0.4999, value: 0.5"),
+        ("joint_controller", {"joint": "a", "mu": 1.0}, "joint_controller: Parameter mu"),
         ("joint_controller", {"joint": "a", "gains.p": ".nan"}, "gains.p"),
         ("joint_controller", {"joint": "a", "gains.p": "much"}, "gains.p must be a double"),
         ("joint_controller", {"joint": "a", "command_interface": "can"}, "command_interface"),
-        ("joint_controller", {"joint": "a", "compensation": "magic"}, "none, gravity, decoupling"),
         ("joint_controller", {"joint": "a", "compensation": "gravity"}, "description is empty"),
+        ("joint_controller", {"joint": "a", "cpu_affinity": "[4096]"}, "4096"),
+        ("joint_controller", {"joint": "a", "realtime_priority": 100}, "[0, 99], not 100"),
         ("joint_controller", {**MODELLED, "model.locked_joints": "arm_joint_3"}, "lacks it"),
         ("joint_controller", {**MODELLED, "model.left_wheel": "wheel_left_joint"}, "right_wheel"),
-        (
-            "joint_controller",
-            {**MODELLED, "model.payload": 1.0, "model.payload_link": "hook"},
-            "hook",
-        ),
-        (
-            "joint_controller",
-            {"joint": "arm_joint_9", "robot_description": "urdf/mobile_manipulator.urdf"},
-            "did you mean 'arm_joint_",
-        ),
-        ("joint_controllers", {}, "the parameter joints must name each joint once"),
-        ("mujoco_bridge", {"mode": "fast"}, "mode must be one of lockstep, realtime"),
+        ("joint_controller", {**MODELLED, **HOOK}, "hook"),
+        ("joint_controller", {**MODELLED, "joint": "arm_joint_9"}, "did you mean 'arm_joint_"),
+        ("joint_controllers", {}, "each joint once"),
+        ("mujoco_bridge", {"mode": "fast"}, "lockstep, realtime"),
         ("mujoco_bridge", {"joints": "[arm_joint_9]"}, "did you mean 'arm_joint_"),
-        ("mujoco_bridge", {"robot_description": "none.urdf"}, "there is no file none.urdf"),
-        ("trajectory_publisher", {}, "the parameter reference_file must name"),
-        ("trajectory_publisher", {"reference_file": "none.yaml"}, "cannot read none.yaml"),
-        ("bag_recorder", {}, "the parameters bag and topics must name"),
+        ("mujoco_bridge", {"robot_description": "none.urdf"}, "none.urdf"),
+        ("trajectory_publisher", {}, "reference_file"),
+        ("trajectory_publisher", {"reference_file": "none.yaml"}, "none.yaml"),
+        ("bag_recorder", {}, "bag and topics"),
         ("bag_recorder", {"bag": "."}, "exists already"),
-        ("bag_metrics", {}, "the parameter bags must name"),
+        ("bag_metrics", {}, "bags"),
         ("bag_metrics", {"bags": "[none]"}, "none"),
     ],
 )
+@pytest.mark.usefixtures("module_harness")  # for its domain
 def test_a_node_that_cannot_start_says_one_line_and_ends_with_two(
-    harness, tmp_path, executable, parameters, line
+    tmp_path, executable, parameters, line
 ):
     ended = run_node(executable, ros_arguments(**parameters), cwd=tmp_path)
     assert ended.returncode == 2
@@ -294,22 +275,6 @@ def test_priority_and_affinity_reach_every_thread_or_are_told_as_refused(harness
     else:
         assert policies.count(os.SCHED_FIFO) >= len(threads) - 1
     assert all(os.sched_getaffinity(thread) == {cpu} for thread in threads)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["-p", "cpu_affinity:=[4096]"], "not [4096]"),
-        (["-p", "realtime_priority:=100"], "[0, 99], not 100"),
-    ],
-)
-def test_impossible_scheduling_is_one_line(harness, arguments, said):
-    process = harness.processes.start(
-        "elbow_controller", "joint_controller", ros_arguments(joint="elbow", **GAINS) + arguments
-    )
-    harness.wait(lambda: process.process.poll() is not None, what="the controller to refuse")
-    assert process.process.returncode == 2
-    assert said in process.last_words()
 
 
 LIFT = """<robot name="lift"><link name="base"/><link name="car"/>

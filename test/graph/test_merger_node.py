@@ -5,6 +5,7 @@ import math
 import signal
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -35,6 +36,28 @@ def control(harness):
 @pytest.fixture
 def told(harness):
     return Told(harness, MERGER)
+
+
+@pytest.fixture(scope="module")
+def bench(module_harness):
+    """Return a merger that no test ends, with the stand-in's controller behind it."""
+    with Ros2Control(module_harness.context, INERTIAS) as control:
+        start_merger(module_harness)
+        yield SimpleNamespace(
+            harness=module_harness,
+            control=control,
+            told=Told(module_harness, MERGER),
+            command=Commander(module_harness),
+        )
+
+
+@pytest.fixture
+def merging(bench):
+    """Return the bench with a controller that has just been loaded, and merged for."""
+    bench.control.load(ORDER)
+    controller = bench.control.controller
+    bench.command.until(EFFORTS, lambda: len(controller.received) > 1, "commands")
+    return bench
 
 
 def start_merger(harness, **parameters):
@@ -142,7 +165,7 @@ def test_controllers_drive_a_group_and_one_of_them_is_killed_or_stopped_and_come
 ):
     """No message is refused, the others go on, and the silent joint gets its fallback."""
     control.load(ORDER)
-    fallback = {"fallback_efforts.elbow": 0.25}
+    fallback = {"fallback_efforts.elbow": 0.25, "command_timeouts.elbow": 0.3}
     start_merger(harness, **fallback)
     processes = {joint: start_controller(harness, joint) for joint in ORDER}
     setpoints = {}
@@ -203,147 +226,115 @@ def test_controllers_of_one_process_are_merged_without_a_topic_between(harness, 
 # --- what is sent, and when ---------------------------------------------------------------
 
 
-def test_the_answers_of_all_to_each_state_are_sent_in_order(harness, control):
-    control.load(ORDER)
-    start_merger(harness)
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
-    for k in range(1, 51):
+def test_nothing_is_sent_before_every_joint_has_commanded_and_then_all_in_order(bench):
+    bench.control.load(ORDER)
+    control, two = bench.control.controller, {"wrist": 1.0, "shoulder": 2.0}
+    assert change(bench.harness, "deactivate", MERGER)
+    assert change(bench.harness, "activate", MERGER)
+    line = "waiting for commands of elbow"
+    bench.command.until(two, lambda: says(bench.told, line), "the missing joint")
+    control.received.clear()
+    for k in range(20):
         efforts = {joint: effort + k for joint, effort in EFFORTS.items()}
-        command(efforts)
         expected = tuple(efforts[joint] for joint in ORDER)
-        harness.wait(
-            lambda sent=expected: control.controller.received[-1][1] == sent, WITHIN, "the message"
+        bench.command.until(
+            efforts,
+            lambda e=expected: control.received[-1:] and control.received[-1][1] == e,
+            "it",
         )
-    sent = [numbers for _, numbers in control.controller.received]
+    sent = [numbers for _, numbers in control.received]
+    assert sent[0] == (1.0, 2.0, 3.0)
     assert all(a <= b for a, b in itertools.pairwise(sent))  # none goes back
-    assert not control.refused
+    assert not bench.control.refused
 
 
-def test_nothing_is_sent_before_every_joint_has_commanded(harness, control, told):
-    control.load(ORDER)
-    start_merger(harness)
-    command = Commander(harness)
-    two = {"wrist": 1.0, "shoulder": 2.0}
-    command.until(two, lambda: says(told, "waiting for commands of elbow"), "the missing joint")
-    assert not control.controller.received
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
-    assert control.controller.received[0][1] == (1.0, 2.0, 3.0)
-
-
-def test_joints_with_a_fallback_may_be_missing(harness, control):
-    control.load(ORDER)
-    start_merger(harness, **{"fallback_efforts.elbow": -4, "fallback_efforts.wrist": 0.5})
-    command = Commander(harness, ["shoulder"])
-    command.until({"shoulder": 2.0}, lambda: control.controller.received, "the first command")
-    assert control.controller.received[0][1] == (0.5, 2.0, -4.0)
-
-
-def test_a_straggler_delays_nobody_for_long_and_a_silent_joint_not_at_all(harness, control, told):
-    control.load(ORDER)
-    start_merger(harness, **{"command_timeouts.elbow": 0.2})
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
-    others = {"wrist": 5.0, "shoulder": 6.0}
-    command(others)
-    harness.wait(
-        lambda: control.controller.received[-1][1] == (5.0, 6.0, 3.0), WITHIN, "the others"
-    )
-    command.until(others, lambda: control.efforts()["elbow"] == 0.0, "the fallback")
-    command.until(others, lambda: says(told, "silent: elbow (sent 0)"), "its name")
-
-
-def test_numbers_that_are_none_are_silence_and_named(harness, control, told):
-    control.load(ORDER)
-    start_merger(harness)
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
-    broken = {**EFFORTS, "elbow": float("nan")}
-    command.until(broken, lambda: says(told, "elbow commands what is not finite"), "its name")
-    command.until(broken, lambda: control.efforts()["elbow"] == 0.0, "the fallback")
-    assert control.controller.dropped == 0
-    assert not control.refused
-
-
-def test_a_second_source_of_a_joint_is_not_obeyed_and_both_are_named(harness, control, told):
-    control.load(ORDER)
-    start_merger(harness)
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
-    rival = Commander(harness, ["elbow"], "/rival")
-
-    def is_named():
-        rival({"elbow": 99.0})
-        return says(told, "commanded twice: elbow by /elbow_controller and /rival")
-
-    command.until(EFFORTS, is_named, "both of them")
-    assert {numbers[2] for _, numbers in control.controller.received} == {3.0}
+def test_numbers_that_are_not_finite_are_a_timeout_and_named(merging):
+    broken = {**EFFORTS, "elbow": math.nan}
+    line = "elbow commands what is not finite"
+    merging.command.until(broken, lambda: says(merging.told, line), "its name")
+    merging.command.until(broken, lambda: merging.control.efforts()["elbow"] == 0.0, "fallback")
+    assert merging.control.controller.dropped == 0
+    assert not merging.control.refused
 
 
 # --- the receiver -------------------------------------------------------------------------
 
 
-def test_a_controller_that_is_deactivated_is_told_and_served_again_when_it_is_active(
-    harness, control, told
-):
-    control.load(ORDER, kind="group")
-    start_merger(harness)
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
-    control.switch(False)
-    line = f"/{NAME} is inactive, and discards what it is sent"
-    command.until(EFFORTS, lambda: says(told, line), "the deactivation")
-    assert told.newest()["level"] == DiagnosticStatus.ERROR
-    control.switch(True)
+@pytest.mark.parametrize("is_other", [False, True])
+def test_a_controller_that_takes_nothing_is_named_and_served_when_it_does(merging, is_other):
+    control, command = merging.control, merging.command
+    if is_other:
+        control.load(ORDER, interface="position")
+        line = "commands the position of its joints, not their effort"
+    else:
+        control.load(ORDER, kind="group")
+        control.switch(False)
+        line = f"/{NAME} is inactive, and discards what it is sent"
+    command.until(EFFORTS, lambda: says(merging.told, line), "the reason")
+    assert merging.told.newest()["level"] == DiagnosticStatus.ERROR
+    if is_other:
+        assert not control.controller.received
+        control.load(ORDER)
+    else:
+        control.switch(True)
     command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
 
 
-def test_another_controller_of_the_same_name_is_asked_for_its_joints(harness, control, told):
-    control.load(ORDER)
-    start_merger(harness)
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
-    for joints in 3 * (["elbow", "wrist"], ["shoulder"], ["elbow", "shoulder", "wrist"]):
+def test_another_controller_of_the_same_name_is_asked_for_its_joints(merging):
+    control = merging.control
+    for joints in 2 * (["elbow", "wrist"], ["shoulder"], ["elbow", "shoulder", "wrist"]):
         control.load(joints)  # at once: the merger may not have seen that the other one went
-        command.until(EFFORTS, lambda: control.controller.received, "the first command")
+        merging.command.until(EFFORTS, lambda: control.controller.received, "the first command")
         expected = tuple(EFFORTS[joint] for joint in joints)
         assert {numbers for _, numbers in control.controller.received} == {expected}
     assert not control.refused
 
 
-def test_whoever_listens_beside_the_controller_changes_nothing(harness, control, told):
-    control.load(ORDER)
-    log = start_merger(harness).log
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: says(told, "merging"), "it to merge")
+def test_another_listener_changes_nothing(merging):
+    log = merging.harness.processes.nodes[MERGER].log
+    merging.command.until(
+        EFFORTS, lambda: "merging: " in log.read_text().splitlines()[-1], "the last line"
+    )
     before = log.read_text()
-    for k in range(1, 6):
+    for k in range(1, 4):
         efforts = {joint: effort + k for joint, effort in EFFORTS.items()}
-        with listening(harness, Float64MultiArray, f"{NAME}/commands") as heard:
-            command.until(efforts, lambda h=heard: len(h) > 3, "the messages")
+        with listening(merging.harness, Float64MultiArray, f"{NAME}/commands") as heard:
+            merging.command.until(efforts, lambda h=heard: len(h) > 3, "the messages")
         assert all(len(message.data) == 3 for message in heard)
-    command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
-    assert log.read_text() == before  # it has waited for nobody anew
-    assert not control.refused
+    merging.command.until(EFFORTS, lambda: merging.control.efforts() == EFFORTS, "the efforts")
+    assert log.read_text() == before  # it has waited for nobody again
+    assert not merging.control.refused
 
 
-@pytest.mark.parametrize(
-    ("parameters", "loaded", "line"),
-    [
-        ({"joints": "[elbow, wrist]"}, {}, "those that were given elbow, wrist"),
-        ({}, {"interface": "position"}, "commands the position of its joints, not their effort"),
-        ({"fallback_efforts.knee": 1.0}, {}, "fallback is given for the unknown joint 'knee'"),
-    ],
-)
-def test_a_controller_that_does_not_fit_is_sent_nothing_and_told(
-    harness, control, told, parameters, loaded, line
-):
-    control.load(ORDER, **loaded)
-    start_merger(harness, **parameters)
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: says(told, line), "the reason")
-    assert told.newest()["level"] == DiagnosticStatus.ERROR
-    assert not control.controller.received
+def test_other_senders_of_its_commands_and_refused_requests_are_reported(merging):
+    harness, command, told = merging.harness, merging.command, merging.told
+    second = harness.processes.start("second", MERGER, ros_arguments(controller=NAME))
+    harness.wait(lambda: second.process.poll() is not None, WITHIN, "the refusal")
+    assert second.process.returncode == 1
+    line = f"all that is sent on /{NAME}/commands is commanded by /{MERGER}"
+    assert line in second.log.read_text()
+    intruder = harness.node.create_publisher(Float64MultiArray, f"{NAME}/commands", NEWEST_COMMAND)
+    line = f"/robot also publishes on /{NAME}/commands"
+    command.until(EFFORTS, lambda: says(told, line), "the intruder")
+    harness.node.destroy_publisher(intruder)
+    for values in ({"command_timeout": 0.2}, {"comand_timeout": 0.2}):
+        is_set, reason = harness.set_parameters(MERGER, **values)
+        assert (is_set, "command_timeout" in reason) == (False, True)
+    assert harness.set_parameters(MERGER, command_timeout=0.5)[0]  # as it is
+    assert not change(harness, "configure", MERGER)
+    harness.wait(lambda: told.says(refused_requests="3"), WITHIN, "the count")
+
+
+def test_a_second_source_of_a_joint_is_not_obeyed_and_both_are_named(merging):
+    merging.control.controller.received.clear()
+    rival = Commander(merging.harness, ["elbow"], "/rival")
+
+    def is_named():
+        rival({"elbow": 99.0})
+        return says(merging.told, "commanded twice: elbow by /elbow_controller and /rival")
+
+    merging.command.until(EFFORTS, is_named, "both of them")
+    assert {numbers[2] for _, numbers in merging.control.controller.received} == {3.0}
 
 
 def test_whoever_subscribes_gets_the_order_that_was_given(harness, told):
@@ -382,7 +373,7 @@ def test_dynamic_joint_states_name_joints_and_their_interface(harness):
 # --- the end ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", ["SIGINT", "SIGTERM", "SIGHUP", "deactivate", "shutdown"])
+@pytest.mark.parametrize("ending", ["SIGTERM", "deactivate", "shutdown"])
 def test_it_leaves_with_zeros_again_and_again(harness, control, ending):
     """Nobody acknowledges them, and the receiver keeps the last effort for ever."""
     control.load(ORDER)
@@ -424,33 +415,6 @@ def test_a_process_that_is_stopped_leaves_with_zeros_and_comes_back_from_there(h
     command.until(EFFORTS, lambda: is_stopped(process), "it to stop")  # or SIGCONT is lost
     process.send_signal(signal.SIGCONT)
     command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
-
-
-def test_a_second_merger_of_the_same_topic_is_refused_and_others_on_it_are_named(
-    harness, control, told
-):
-    control.load(ORDER)
-    start_merger(harness)
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
-    second = harness.processes.start("second", MERGER, ros_arguments(controller=NAME))
-    harness.wait(lambda: second.process.poll() is not None, WITHIN, "the refusal")
-    assert second.process.returncode == 1
-    line = f"all that is sent on /{NAME}/commands is commanded by /{MERGER}"
-    assert line in second.log.read_text()
-    harness.node.create_publisher(Float64MultiArray, f"{NAME}/commands", NEWEST_COMMAND)
-    line = f"/robot also publishes on /{NAME}/commands"
-    command.until(EFFORTS, lambda: says(told, line), "the intruder")
-
-
-def test_refused_sets_of_parameters_and_transitions_are_counted(harness, told):
-    start_merger(harness, controller=None, joints=str(ORDER), command_interface="joint_state")
-    for values in ({"command_timeout": 0.2}, {"comand_timeout": 0.2}):
-        is_set, reason = harness.set_parameters(MERGER, **values)
-        assert (is_set, "command_timeout" in reason) == (False, True)
-    assert harness.set_parameters(MERGER, command_timeout=0.5)[0]  # as it is
-    assert not change(harness, "configure", MERGER)
-    harness.wait(lambda: told.says(refused_requests="3"), WITHIN, "the count")
 
 
 def test_a_merger_that_is_not_active_does_not_listen(harness, control):

@@ -6,13 +6,11 @@ from types import SimpleNamespace
 
 import pytest
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from harness.control_msgs import why_not
 from harness.graph import ros_arguments
-from harness.health import Told
 from hpid_ros.base.names import controller_name
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import OFFERED
@@ -115,9 +113,8 @@ class Joints:
             ),
             what="all to listen",
         )
-        told = Told(self.harness, action)
-        ready = (DiagnosticStatus.OK, DiagnosticStatus.WARN)
-        self.run(lambda: told.newest().get("level") in ready, what="the action to be ready")
+        log = processes["action"].log
+        self.run(lambda: "ready for goals" in log.read_text(), what="the action to be ready")
         return SimpleNamespace(**processes)
 
     def start_action(self, name=ACTION, **parameters):
