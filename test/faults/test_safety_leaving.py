@@ -59,7 +59,7 @@ def streamed(harness, stream, condition, what):
     harness.wait(told, within=5.0, what=what)
 
 
-@pytest.mark.parametrize("labels", [["shutdown"], ["deactivate"], ["deactivate", "cleanup"]])
+@pytest.mark.parametrize("labels", [["shutdown"], ["deactivate", "cleanup"]])
 def test_a_damping_stop_ends_with_zero_whichever_transition_it_was(harness, labels):
     process, stream = in_motion(harness, **DAMPING)
     before = len(harness.commands)
@@ -94,7 +94,7 @@ def test_no_command_follows_the_last_zero_though_states_go_on(harness):
     _, stream = in_motion(harness, stop="zero")
     client = harness.node.create_client(ChangeState, f"{NAME}/change_state")
     harness.wait(client.service_is_ready, what="the service")
-    for _ in range(10):
+    for _ in range(5):
         before = len(harness.commands)
         streamed(harness, stream, lambda n=before: len(harness.commands) > n + 20, "commands")
         for label in ("deactivate", "activate"):

@@ -98,13 +98,12 @@ def test_without_autostart_somebody_else_activates(harness):
     assert harness.ask(0, 0.5) == 0.0
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_damping_stop_brakes_and_then_lets_go(harness, number):
+def test_a_damping_stop_brakes_and_then_lets_go(harness):
     options = {"stop": "damping", "stop_duration": 0.6, "state_watchdog": False}
     process = harness.start_controller(law="pid", **options, **GAINS).process
     harness.ask(0, 0.0)
     assert harness.ask(MS, -0.5) > 0.0
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
     template = JointStateTemplate(["elbow"], position=True, velocity=True)
     stamps = iter(range(2, 100_000))
 
@@ -140,9 +139,7 @@ sys.exit(executor.run(lambda: [Broken()]))
 @pytest.mark.parametrize(
     ("reference", "error", "code", "line"),
     [
-        (SETPOINT, "ZeroDivisionError('by nothing')", 1, "ZeroDivisionError: by nothing"),
         (TRAJECTORY, "ZeroDivisionError('by nothing')", 1, "by nothing (<string>:8)"),
-        (SETPOINT, "MemoryError()", 1, "MemoryError"),
         (SETPOINT, "errors.SettingError('no good')", 2, "no good"),
     ],
 )
@@ -210,25 +207,23 @@ def test_silence_gets_the_fallback_effort_is_told_and_ends_in_a_takeover(harness
     faults.count("silences of the states")
 
 
-@pytest.mark.parametrize("stamp_ns", [MS, 0])
-def test_a_driver_that_repeats_its_last_state_is_silent(harness, faults, stamp_ns):
+def test_a_driver_that_repeats_its_last_state_is_silent(harness, faults):
     options = {"state_timeout": 0.2, "fallback_effort": 1.5, "state_clock": "wall"}
     harness.start_controller(law="pid", **options, **GAINS)
     told = Told(harness)
     harness.ask(0, 0.0)
-    if stamp_ns:
-        effort = harness.ask(stamp_ns, -0.5)
-        assert effort > 3.0 or effort == 1.5  # where the machine stood still for the timeout
+    effort = harness.ask(MS, -0.5)
+    assert effort > 3.0 or effort == 1.5  # where the machine stood still for the timeout
 
     def silent():
-        publish(harness, stamp_ns, -0.5)
+        publish(harness, MS, -0.5)
         return told.says(message="no new state within state_timeout")
 
     harness.wait(silent, within=5.0, what="the silence to be told")
     assert told.newest()["level"] == DiagnosticStatus.ERROR
 
     def is_fallback_alone():
-        publish(harness, stamp_ns, -0.5)
+        publish(harness, MS, -0.5)
         return {each.effort[0] for each in harness.commands[-20:]} == {1.5}
 
     harness.wait(is_fallback_alone, what="the fallback effort and no other")
@@ -244,43 +239,9 @@ def test_the_watchdog_needs_no_ros_time(harness):
     harness.wait(lambda: harness.commands[-1].effort == (1.5,), within=5.0, what="the fallback")
 
 
-def test_a_set_with_one_bad_value_changes_nothing(harness):
-    harness.start_controller(law="pid", **GAINS)
-    for atomically in (False, True):
-        is_set, reason = harness.set_parameters(
-            NAME, atomically=atomically, gains__p=60.0, gains__d=-1.0
-        )
-        assert not is_set
-        assert "gains.d" in reason
-    harness.ask(0, 0.0)
-    assert harness.ask(MS, -0.5) == pytest.approx(5.0)
-
-
-def test_a_paused_clock_goes_on_as_if_nothing_had_been(harness):
-    harness.start_controller(law="pid", state_timeout=0.05, **GAINS)
-    harness.ask(0, 0.0)
-    before = [harness.ask(k * MS, -0.5) for k in range(1, 5)]
-    harness.wait(lambda: harness.commands[-1].stamp_ns == 4 * MS + 1, what="the fallback effort")
-    assert harness.ask(5 * MS, -0.5) == pytest.approx(before[-1] + 4.0 * 0.5 * 1e-3)
-
-
-def test_on_the_wall_clock_silence_is_a_takeover_whatever_the_stamps_say(harness, faults):
-    """Stamps that count samples go on as if nothing had been; the joint has hung free."""
-    options = {"state_timeout": 0.05, "state_clock": "wall"}
-    harness.start_controller(law="pid", **options, **GAINS)
-    told = Told(harness)
-    harness.ask(0, 0.0)
-    harness.ask(MS, -0.5)
-    harness.wait(lambda: harness.commands[-1].stamp_ns == MS + 1, what="the fallback effort")
-    assert harness.ask(2 * MS, -0.9) == 0.0
-    harness.wait(lambda: int(told.newest().get("takeovers", 0)) > 0, what="it to be told")
-    faults.count("silences of the states")
-
-
-@pytest.mark.parametrize("is_watched", [True, False])
-def test_a_controller_that_was_stopped_starts_from_where_the_joint_is(harness, faults, is_watched):
+def test_a_controller_that_was_stopped_starts_from_where_the_joint_is(harness, faults):
     """SIGSTOP and SIGCONT with a driver that goes on: nobody looked, the stamps tell."""
-    options = {"state_clock": "wall", "state_watchdog": is_watched}
+    options = {"state_clock": "wall", "state_watchdog": True}
     process = harness.start_controller(law="pid", **options, **GAINS).process
     harness.ask(0, 0.0)
     before = harness.ask(MS, -0.5)
@@ -294,14 +255,6 @@ def test_a_controller_that_was_stopped_starts_from_where_the_joint_is(harness, f
     assert effort in (pytest.approx(before), 0.0)  # of the loop, or of the watchdog: no jump
     assert harness.ask(1501 * MS, -3.0) in (pytest.approx(effort, abs=0.1), 0.0)
     faults.count("controllers frozen")
-
-
-def test_the_watchdog_can_be_switched_off(harness):
-    harness.start_controller(law="pid", state_timeout=0.02, state_watchdog=False, **GAINS)
-    told = Told(harness)
-    harness.ask(0, 0.0)
-    harness.wait(lambda: told.says(samples="1"), what="a report")
-    assert told.says(silences="0")
 
 
 def test_no_request_ends_the_node(harness, faults):
@@ -323,23 +276,25 @@ def test_no_request_ends_the_node(harness, faults):
     faults.count("impossible parameter requests", 2 * len(odd))
 
 
-@pytest.mark.parametrize(
-    ("topic", "kind"), [(f"{NAME}/setpoint", Float64), ("joint_trajectory", JointTrajectory)]
-)
-def test_bytes_that_are_no_reference_are_refused_and_told(harness, faults, topic, kind):
+def test_bytes_that_are_no_reference_are_refused_and_reported(harness, faults):
     process = harness.start_controller(law="pid", **GAINS).process
     told = Told(harness)
-    publisher = harness.node.create_publisher(kind, topic, RARE)
     head = b"\x00\x01\x00\x00"
     garbage = [b"", b"\x00", b"\xff" * 12, head, head + b"\xee" * 5, head + b"\xff" * 8]
+    refused = 0
+    for topic, kind in ((f"{NAME}/setpoint", Float64), ("joint_trajectory", JointTrajectory)):
+        publisher, before = harness.node.create_publisher(kind, topic, RARE), refused
 
-    def refuses():
-        for raw in garbage:
-            publisher.publish(raw)
-        return int(told.newest().get("refused references", 0)) >= len(garbage)
+        def refuses(publisher=publisher, before=before):
+            nonlocal refused
+            for raw in garbage:
+                publisher.publish(raw)
+            refused = int(told.newest().get("refused references", 0))
+            return refused >= before + len(garbage)
 
-    harness.wait(refuses, what="refusals")
+        harness.wait(refuses, what="refusals")
+        harness.node.destroy_publisher(publisher)
     harness.ask(0, 0.0)
     assert harness.ask(MS, -0.5) == pytest.approx(5.0)
     assert process.poll() is None
-    faults.count("references of random bytes", int(told.newest()["refused references"]))
+    faults.count("references of random bytes", refused)

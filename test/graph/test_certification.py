@@ -4,14 +4,15 @@ import os
 import signal
 import subprocess
 import threading
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
 from harness.graph import ros_arguments
+from harness.health import Told
 
 from hpid_ros.control import LoopSettings
-from hpid_ros.nodes.core.middleware import RARE
 from hpid_ros.stability.certifier import Certifier
 
 NEAR_THE_LIMIT = {
@@ -28,7 +29,7 @@ def settings(**changes):
     return LoopSettings.from_parameters({k.replace("__", "."): v for k, v in values.items()})
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def certifier():
     certifier = Certifier()
     yield certifier
@@ -41,14 +42,13 @@ def test_finding_comes_later_and_then_serves_every_degree(certifier):
     assert certifier.finding(settings(mu=0.4)).is_certified is False
     assert certifier.finding(settings(mu=-0.04)).is_certified is True
     assert certifier.finding(settings(mu=0.05, gains__p=5.5)).is_certified is None
-
-
-def test_the_newest_wish_counts(certifier):
-    certifier.want(settings(mu=0.05))
-    certifier.want(settings(mu=0.05, gains__p=50.0))
+    certifier.want(settings(mu=0.05, gains__p=40.0))
+    certifier.want(settings(mu=0.05, gains__p=50.0))  # the newest counts
     certifier.want(settings(mu=0.05, gains__p=60.0))
     assert certifier.wait(settings(mu=0.05, gains__p=60.0)).is_certified
     assert certifier.finding(settings(mu=0.05, gains__p=50.0)).is_certified is None
+    found = certifier.wait(settings(mu=0.05, inertia=0.0))
+    assert found == (None, "unknown: the inertia is not given")
 
 
 def test_what_is_being_computed_ends_with_the_certifier():
@@ -64,56 +64,39 @@ def children():
     return set(Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split())
 
 
-def test_nothing_is_claimed_without_an_inertia(certifier):
-    found = certifier.wait(settings(mu=0.05, inertia=0.0))
-    assert found == (None, "unknown: the inertia is not given")
-
-
-def latest_status(harness, node):
-    """Return a function that gives the node's newest diagnostic status."""
-    seen = {}
-
-    def on_message(message):
-        seen.update({status.name: status for status in message.status})
-
-    harness.node.create_subscription(DiagnosticArray, "/diagnostics", on_message, RARE)
-    return lambda: seen.get(f"/{node}")
-
-
 @pytest.mark.parametrize("failure", ["no child", "no answer"])
-def test_a_computation_that_fails_is_a_finding_and_no_error(monkeypatch, certifier, failure):
+def test_a_computation_that_fails_is_a_finding_and_no_error(monkeypatch, failure):
     """The loop beside which it runs must not end for it."""
 
     def refused(*arguments, **options):
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
-    before = children()
-    if failure == "no child":
-        monkeypatch.setattr(subprocess, "Popen", refused)
-        certifier.want(settings(mu=0.05))
-    else:
-        certifier.want(settings(mu=0.05))
-        (child,) = children() - before
-        os.kill(int(child), signal.SIGKILL)
-        while not certifier.poll():
-            pass
-    found = certifier.finding(settings(mu=0.05))
+    with closing(Certifier()) as certifier:
+        before = children()
+        if failure == "no child":
+            monkeypatch.setattr(subprocess, "Popen", refused)
+            certifier.want(settings(mu=0.05))
+        else:
+            certifier.want(settings(mu=0.05))
+            (child,) = children() - before
+            os.kill(int(child), signal.SIGKILL)
+            while not certifier.poll():
+                pass
+        found = certifier.finding(settings(mu=0.05))
     assert found.is_certified is False
     assert "computation" in found.text
 
 
 def test_an_uncertified_degree_is_a_warning(harness):
-    status = latest_status(harness, "elbow_controller")
+    told = Told(harness)
     harness.start_controller(mu=0.4, state_watchdog=False, **NEAR_THE_LIMIT)
     harness.ask(0, 0.0)
-    harness.wait(
-        lambda: status() and "mu = 0.4 is not certified stable" in status().message,
-        what="the warning",
-    )
-    assert status().level == b"\x01"
+    line = "mu = 0.4 is not certified stable"
+    harness.wait(lambda: line in told.newest().get("message", ""), what="the warning")
+    assert told.newest()["level"] == DiagnosticStatus.WARN
     assert harness.set_parameters("elbow_controller", mu=0.05) == (True, "")
     harness.wait(
-        lambda: status().level == b"\x00" and "holding" in status().message,
+        lambda: told.says(level=DiagnosticStatus.OK) and "holding" in told.newest()["message"],
         what="the warning to go",
     )
 
