@@ -28,7 +28,7 @@ from hpid_ros.report.style import (
     log_ticks,
     plain_ticks,
 )
-from hpid_ros.report.table import TableColumn, WideTable
+from hpid_ros.report.table import TableColumn, WideTable, columns_of
 from hpid_ros.stability.frequency import Complexes, FrozenLoop
 from hpid_ros.stability.margins import Case, FamilyMargins, LoopFamily, Margins, frequency_grid
 from hpid_ros.stability.measured_margins import Distance, LoopReport, MeasuredJoint, measured_loop
@@ -48,10 +48,7 @@ class MarginTable:
         names, multipliers, cells = zip(*rows, strict=True)
         yield WideTable(
             [TableColumn("loop", names, True), TableColumn("lam", multipliers)],
-            [
-                TableColumn(heading, column)
-                for heading, column in zip(_FIGURES, zip(*cells, strict=True), strict=True)
-            ],
+            columns_of(_FIGURES, cells),
         )
         yield ""
         verdicts = [_verdict_cells(each) for each in self._reports.values()]
@@ -66,10 +63,7 @@ class MarginTable:
                     ],
                 ),
             ],
-            [
-                TableColumn(heading, column)
-                for heading, column in zip(_PLACES, zip(*verdicts, strict=True), strict=True)
-            ],
+            columns_of(_PLACES, verdicts),
         )
         yield ""
         for name, each in self._reports.items():

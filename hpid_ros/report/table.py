@@ -173,6 +173,16 @@ class TableColumn(NamedTuple):
         return min(self.width, _LEAST_TEXT) if self.is_text else self.width
 
 
+def columns_of(
+    headings: Sequence[str],
+    rows: Iterable[Iterable[str | Text]],
+    texts: Collection[str] = (),
+) -> list[TableColumn]:
+    """Return the columns of a table that is given by its rows; texts are headings of such."""
+    cells = zip(*rows, strict=True)
+    return [TableColumn(h, each, h in texts) for h, each in zip(headings, cells, strict=True)]
+
+
 class WideTable:
     """A table as a rich renderable that suits itself to the width it gets."""
 
@@ -283,12 +293,7 @@ class Grid(NamedTuple):
         return "\n".join(lines) + "\n" + (f"\n{self.note}\n" if self.note else "")
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        columns = [
-            TableColumn(heading, cells, is_text=not place or heading in _TEXTS)
-            for place, (heading, cells) in enumerate(
-                zip(self.headings, zip(*self.rows, strict=True), strict=True)
-            )
-        ]
+        columns = columns_of(self.headings, self.rows, (self.headings[0], *_TEXTS))
         names = 1 + (self.headings[1:2] in (("joint",), ("controller",)))
         yield WideTable(columns[:names], columns[names:], title=self.title, box=SIMPLE)
         if self.note:
@@ -392,7 +397,9 @@ class ComparisonTable:
         if self.comparison.norms:
             yield blocks.of_norms()
             yield ""
-        lines = [*blocks.legend(), *blocks.verdicts()]
+        lines = [*blocks.legend()]
+        if {*self.comparison.indices, *self.comparison.norms} >= set(PAPER):
+            lines += [Text(line, style="bold") for line in verdict_lines(self.comparison)]
         for text in lines:
             yield Text(text.plain.replace("–", "-"), text.style) if ascii_only else text
 
@@ -449,13 +456,10 @@ class _Blocks:
 
     def of_index(self, quantity: Quantity, width: int) -> Table | WideTable:
         """Return one index alone: the joints' names, then its runs and ratios."""
-        columns = [self.names([quantity]), *self._columns(quantity, SIGNIFICANT_DIGITS)]
-        names, *numbers = (
-            TableColumn(each.heading, each.cells, each.justify == "left") for each in columns
-        )
+        names, numbers = self.names([quantity]), self._columns(quantity, SIGNIFICANT_DIGITS)
         if len(pieces([names], numbers, width, 1)) > 1:
             return WideTable([names], numbers, title=self._title(quantity), box=SIMPLE)
-        return _block(self._title(quantity), columns)
+        return _block(self._title(quantity), [names, *numbers])
 
     def of_norms(self) -> WideTable:
         """Return what is shown over all joints alone, one row each."""
@@ -466,12 +470,8 @@ class _Blocks:
             [self._title(quantity) for quantity in norms],
             is_text=True,
         )
-        headings = headings_of(self._comparison)
-        rows = [
-            map(self._text, cells_of(self._comparison, quantity, (None,))[0]) for quantity in norms
-        ]
-        cells = zip(*rows, strict=True)
-        columns = [TableColumn(each, cell) for each, cell in zip(headings, cells, strict=True)]
+        rows = ([*map(self._text, cells_of(self._comparison, q, (None,))[0])] for q in norms)
+        columns = columns_of(headings_of(self._comparison), rows)
         return WideTable([names], columns, box=SIMPLE, header_style="table.header")
 
     def legend(self) -> list[Text]:
@@ -491,40 +491,23 @@ class _Blocks:
         dim = [Text(line, style="dim") for line in lines]
         return [*dim, *(Text(line) for line in (*comparison.notes, *footnotes(comparison)))]
 
-    def verdicts(self) -> list[Text]:
-        """Return a line for each run beside the baseline, where the paper's numbers are shown."""
-        comparison = self._comparison
-        if not {*comparison.indices, *comparison.norms} >= set(PAPER):
-            return []
-        return [Text(line, style="bold") for line in verdict_lines(comparison)]
-
-    def names(self, quantities: Sequence[Quantity]) -> _RunColumn:
+    def names(self, quantities: Sequence[Quantity]) -> TableColumn:
         """Return the names of the rows."""
         names = [Text(shown(name)) for name in self._comparison.joint_names]
-        return _RunColumn("joint", [*names, Text(total_name(quantities))], "left")
+        return TableColumn("joint", [*names, Text(total_name(quantities))], is_text=True)
 
     def _title(self, quantity: Quantity) -> str:
         return f"{quantity.symbol} [{self._comparison.unit(quantity)}]"
 
-    def _columns(self, quantity: Quantity, digits: int) -> list[_RunColumn]:
+    def _columns(self, quantity: Quantity, digits: int) -> list[TableColumn]:
         joints = (*self._comparison.joint_names, None)
-        columns = zip(*cells_of(self._comparison, quantity, joints, digits), strict=True)
-        headings = headings_of(self._comparison)
-        return [
-            _RunColumn(heading, [self._text(cell) for cell in column])
-            for heading, column in zip(headings, columns, strict=True)
-        ]
+        rows = cells_of(self._comparison, quantity, joints, digits)
+        return columns_of(headings_of(self._comparison), (map(self._text, row) for row in rows))
 
     def _text(self, cell: Cell) -> Text:
         if cell.verdict is None:
             return Text(cell.text)
         return Text(f"{cell.text}{self._marks[cell.verdict]}", style=STYLES[cell.verdict])
-
-
-class _RunColumn(NamedTuple):
-    heading: str
-    cells: list[Text]  # one for each joint, then the total
-    justify: JustifyMethod = "right"
 
 
 def heading_of(run: RunIndices) -> str:
@@ -538,7 +521,7 @@ def total_name(quantities: Sequence[Quantity]) -> str:
     return "total" if all(quantity.fold is Fold.SUM for quantity in quantities) else "all"
 
 
-def _block(title: str, columns: Sequence[_RunColumn]) -> Table:
+def _block(title: str, columns: Sequence[TableColumn]) -> Table:
     """Return columns under a common title, their last cells below a line of their own."""
     block = Table(
         title=Text(title, style="bold"),
@@ -548,9 +531,10 @@ def _block(title: str, columns: Sequence[_RunColumn]) -> Table:
         padding=0,
         min_width=len(title),
     )
-    for heading, cells, justify in columns:
-        total = cells[-1].copy()
+    for heading, cells, is_text in columns:
+        total = Text("").append(cells[-1])
         total.stylize("bold")
+        justify: JustifyMethod = "left" if is_text else "right"
         block.add_column(Text(heading), footer=total, justify=justify, overflow="fold")
     for row in zip(*(column.cells[:-1] for column in columns), strict=True):
         block.add_row(*row)
