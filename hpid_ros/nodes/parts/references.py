@@ -84,7 +84,6 @@ class TrajectorySubscriptions:
     def __init__(self, node: Node, take: Callable[[bytes], None]) -> None:
         self._take = take
         self._taken: tuple[bool, bytes] | None = None
-        self.subscriptions: list[Any] = []
         # Only the contract's profile may be overridden: both would have the same parameters.
         latched = node.create_subscription(
             JointTrajectoryMessage,
@@ -103,7 +102,7 @@ class TrajectorySubscriptions:
             RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
             raw=True,
         )
-        self.subscriptions += [latched, volatile]
+        self.subscriptions = [latched, volatile]
 
     def _on_message(self, is_latched: bool, raw: bytes) -> None:
         if self._taken == (not is_latched, raw):
@@ -146,20 +145,16 @@ class ReferenceDecoder:
                     self._changed.wait()
                 raw, take = self._waiting.pop(next(iter(self._waiting)))
             if raw != last:
-                last, decoded = raw, _attempt(raw)
+                last = raw
+                try:
+                    decoded = decode_trajectory(raw)
+                except Exception as error:  # of any kind: raised where it is taken
+                    decoded = error
             take(decoded)
 
 
-def _attempt(raw: bytes) -> Decoded:
-    try:
-        return decode_trajectory(raw)
-    except Exception as error:  # of any kind: raised where it is taken
-        return error
-
-
-@cache
-def reference_decoder() -> ReferenceDecoder:
-    return ReferenceDecoder()
+reference_decoder = cache(ReferenceDecoder)
+"""Returns the one of this process."""
 
 
 class ControllerReferences:
@@ -179,9 +174,9 @@ class ControllerReferences:
         refuse: Callable[[str], None],
         reason_against: Callable[[], str],
     ) -> None:
-        self._node, self._joint, self._follow, self._refuse = node, joint, follow, refuse
-        self._relay = relay
-        self._reason_against = reason_against
+        self._node, self._joint = node, joint
+        self._follow, self._relay = follow, relay
+        self._refuse, self._reason_against = refuse, reason_against
         self._arrived = self._followed = self._discarded = 0  # references, in their order
         trajectories = TrajectorySubscriptions(node, self._on_trajectory)
         setpoint = node.create_subscription(
