@@ -115,7 +115,7 @@ def joint_facts(
 
 
 class GoalHealth(Diagnostics):
-    """Counts goals and what could not be used, and publishes the status."""
+    """Counts goals and what could not be used."""
 
     def __init__(self, node: Node, joints: Sequence[str]) -> None:
         super().__init__(node, ", ".join(joints))
@@ -138,28 +138,17 @@ class GoalHealth(Diagnostics):
         self.misread += 1
         self.fault(line)
 
-    def report(
-        self, course: str, against: str, warnings: Sequence[str], values: dict[str, object]
-    ) -> None:
-        level = ERROR if against else WARN if warnings else OK
-        self.publish(
-            level,
-            "; ".join([f"no goal can be followed: {against}" if against else course, *warnings]),
-            {
-                "goals reached": self._counts["successful"],
-                "goals cancelled": self._counts["cancelled"],
-                **{
-                    f"goals ended by {code.name.lower()}": self._counts[code.name.lower()]
-                    for code in ResultCode
-                    if code is not ResultCode.SUCCESSFUL
-                },
-                "last goal": self._last_result or "none",
-                "refused messages": self.misread,
-                "times stood still": self.stood_still,
-                **values,
-                "last fault": self.last_fault,
-            },
-        )
+    def readings(self) -> dict[str, object]:
+        """Return the counts by name."""
+        ends = [code.name.lower() for code in ResultCode if code is not ResultCode.SUCCESSFUL]
+        return {
+            "goals reached": self._counts["successful"],
+            "goals cancelled": self._counts["cancelled"],
+            **{f"goals ended by {end}": self._counts[end] for end in ends},
+            "last goal": self._last_result or "none",
+            "refused messages": self.misread,
+            "times stood still": self.stood_still,
+        }
 
 
 class JointTrajectoryController(executor.ClosingNode):
@@ -254,17 +243,18 @@ class JointTrajectoryController(executor.ClosingNode):
         if silent and self._trajectories.subscribers():
             names = ", ".join(f"{controller_name(joint)}/reference" for joint in silent)
             warnings.append(f"nothing has come on {names}: whether they follow is not seen")
-        feedback = self._follower.feedback()
-        course = "no goal"
-        if feedback is not None:
+        against, feedback = self._against(), self._follower.feedback()
+        course = f"no goal can be followed: {against}" if against else "no goal"
+        if feedback is not None and not against:
             course = f"following a goal for {feedback.since_start_ns * 1e-9:.3g} s"
-        self._health.report(
-            course,
-            self._against(),
-            warnings,
+        self._health.publish(
+            ERROR if against else WARN if warnings else OK,
+            "; ".join([course, *warnings]),
             {
+                **self._health.readings(),
                 "states that were not finite": self._follower.unusable,
                 "goals rejected in a flood": self._server.rejected,
+                "last fault": self._health.last_fault,
             },
         )
 
