@@ -85,18 +85,12 @@ def test_files_in_the_way_are_replaced_only_when_asked(controllers, tmp_path, ca
     assert "_SINGLE 1" in (folder / "hpid_wrist.h").read_text()
 
 
-def test_an_experiment_has_a_controller_of_whom_it_is(experiment_file, tmp_path, capsys):
-    file = experiment_file()
-    labels = list(yaml.safe_load(file.read_text())["compare"])
-    for label, law in (("PID", "PID"), (None, "HPID")):
-        folder = tmp_path / law
-        named = [] if label is None else ["--controller", label]
-        arguments = ["export", "--c", str(file), "--joint", "arm_joint_1", "-o", str(folder)]
-        assert main([*arguments, *named]) == DONE
-        text = (folder / "hpid_arm_joint_1.c").read_text()
-        assert f"_LAW_{law}," in text
-    assert "PID" in labels
-    assert main([*arguments, "--controller", "X", "--force"]) == BAD_INPUT
+def test_of_an_experiment_one_controller_is_exported(experiment_file, tmp_path, capsys):
+    command = ["export", "--c", str(experiment_file()), "--joint", "arm_joint_1", "-o"]
+    for named, law in ((["--controller", "PID"], "PID"), ([], "HPID")):
+        assert main([*command, str(tmp_path / law), *named]) == DONE
+        assert f"_LAW_{law}," in (tmp_path / law / "hpid_arm_joint_1.c").read_text()
+    assert main([*command, str(tmp_path / "x"), "--controller", "X"]) == BAD_INPUT
     assert "unknown controller 'X'" in capsys.readouterr().err
 
 

@@ -102,14 +102,12 @@ def test_the_homogeneous_search_leaves_the_gains_alone(experiment):
 def test_a_norm_in_units_of_effort_has_one_scale_for_all_joints(experiment):
     own = {"norm.error_scale": 1.0, "norm.rate_weight": 0.1, "norm.effort_scale": 3.0}
     loops = tuple(each.with_parameters(own) for each in experiment.controllers["hPID"])
-    space = SearchSpace.of(
-        replace(experiment, controllers={**experiment.controllers, "hPID": loops}), "hpid"
-    )
+    controllers = {**experiment.controllers, "hPID": loops}
+    space = SearchSpace.of(replace(experiment, controllers=controllers), "hpid")
     assert [each.name for each in space.parameters] == ["mu", "effort_scale", "floor"]
     found = space.controller([-0.2, 0.5, 0.03])
-    assert {(each.mu, each.norm.effort_scale, each.norm.floor) for each in found} == {
-        (-0.2, 1.5, 0.03)
-    }
+    norms = {(each.mu, each.norm.effort_scale, each.norm.floor) for each in found}
+    assert norms == {(-0.2, 1.5, 0.03)}
     assert [each.gains for each in found] == [each.gains for each in space.start]
 
 
@@ -187,9 +185,8 @@ def test_uncertified_degrees_are_refused_unless_they_are_asked_for(
             raise GainError("no certificate was found")
 
     monkeypatch.setattr(degree_check, "certify_degree", only_positive)
-    search = Search(
-        planned(experiment, "hpid", must_be_certified=must_be_certified), in_processes(1)
-    )
+    plan = planned(experiment, "hpid", must_be_certified=must_be_certified)
+    search = Search(plan, in_processes(1))
     search.run()
     negative = [each for each in search.evaluations if each.values["mu"] < 0.0]
     assert negative

@@ -25,6 +25,9 @@ def test_without_a_degree_the_band_is_the_line_of_the_pid():
     pid, homogeneous = family("pid"), family(mu=0.0)
     assert pid.multipliers == homogeneous.multipliers == (1.0,)
     assert family_margins(pid).cases == family_margins(homogeneous).cases
+    model = {"gains": Gains(200.0, 500.0, 20.0), "compensation": "decoupling", "inertia": 0.1}
+    decoupled = loop_family(loop_settings(law="pid", **model), (1.0, 1.0), friction=0.5)
+    assert decoupled.friction == 0.0
 
 
 @examples(0.2)
@@ -77,11 +80,6 @@ def test_an_unstable_loop_of_the_band_takes_all_margins():
 )
 def test_the_norm_reaches_from_its_floor_to_its_cap(others, norms):
     assert family(**others).norms == pytest.approx(norms)
-
-
-def test_a_model_that_decouples_leaves_no_friction():
-    model = {"gains": Gains(200.0, 500.0, 20.0), "compensation": "decoupling", "inertia": 0.1}
-    assert loop_family(loop_settings(law="pid", **model), (1.0, 1.0), friction=0.5).friction == 0.0
 
 
 @pytest.mark.parametrize(
