@@ -49,7 +49,7 @@ class BagRecorder(executor.ClosingNode):
     """Records a list of topics as soon as each has a publisher.
 
     Topics are subscribed in the order of the list, each after the one before: with the states
-    last, whoever waits for a subscriber of the states has a recorder for all that answers them.
+    last, a subscriber of the states means that all that answers them is recorded.
     The last waits for the latched messages of the others, 2 s at most: a reference that began
     before the first state stands before it in the bag.
     """

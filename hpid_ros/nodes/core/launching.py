@@ -13,10 +13,9 @@ from launch.events.process import ProcessExited, ProcessIO
 
 
 def failures() -> list[RegisterEventHandler]:
-    """Return what ends the launch with the reason, and not with 0, when a process fails.
+    """Return what ends the launch, with the last line that a failed process wrote to stderr.
 
-    The reason is the last line that the process wrote to stderr. One that a signal ended has not
-    failed.
+    A process that a signal ended has not failed.
     """
     last_words: dict[int, str] = {}
 

@@ -169,7 +169,7 @@ _TORN_DOWN_WITHIN = 15.0  # [s]
 
 
 def end_in_time() -> None:
-    """Have this process end with code 1, and tell where it stands, if it takes long from here on.
+    """Have this process end with code 1, and print where it stands, if it takes long from here on.
 
     To be called when every node has been closed: what is left is the middleware's.
     """

@@ -230,8 +230,8 @@ def guard_services(node: Node, fault: Callable[[str], None]) -> None:
     rclpy sets each parameter of a request alone, in the order of the alphabet: on the way from one
     valid set to another there would be sets that are refused, and of a set with one bad gain the
     others would be active. What comes in one request is therefore set or refused as a whole. And
-    where one parameter has no value, rclpy answers a request
-    for many with nothing at all; here it is answered as not set, as the service's definition says.
+    where one parameter has no value, rclpy answers a request for many with nothing at all; here
+    it is answered as not set, as the service's definition says.
 
     What is set to the value that it has is taken, also where it is fixed: so what was dumped can
     be loaded. Whatever is refused is refused with a reason.

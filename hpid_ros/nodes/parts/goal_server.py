@@ -43,7 +43,7 @@ Sent = Callable[[Callable[[], None]], AbstractContextManager[None]]
 class DeferringServer(ActionServer):
     """An action server whose goals are executed when their result is there.
 
-    And one that answers a client that is not matched yet, too: in a block of :attr:`sent`.
+    It answers also a client that is not matched yet, each answer in a block of ``sent``.
     """
 
     _handle: Any
