@@ -130,7 +130,6 @@ class WorldKeeper:
 
 
 def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
-    """Run a task."""
     loops = [JointLoop(each) for each in task.loops]
     for loop in loops:
         loop.follow(task.trajectory.column(loop.settings.joint))
@@ -158,8 +157,6 @@ _keeper = WorldKeeper()
 
 
 class Outcome(NamedTuple):
-    """What became of one task."""
-
     place: int  # its task's place among the tasks
     indices: RunIndices | None  # its numbers; None if the run failed
     failure: str = ""  # why it failed, in one line; empty if it did not
@@ -172,7 +169,6 @@ Runner = Callable[[Sequence[RunTask]], Outcomes]
 
 
 def in_processes(jobs: int | None) -> Runner:
-    """Return what runs tasks in processes of this machine."""
     if jobs is not None and jobs < 1:
         raise SettingError(f"jobs must be at least 1, not {jobs}")
     return partial(run_batch, jobs=jobs)
@@ -201,7 +197,6 @@ def run_batch(tasks: Sequence[RunTask], jobs: int | None = None) -> Outcomes:
 
 
 def _work(numbered: tuple[int, RunTask]) -> Outcome:
-    """Run a task in a worker process."""
     return outcome_of(*numbered, _keeper)
 
 
@@ -258,8 +253,6 @@ class Quartiles(NamedTuple):
 
 
 class RunRecord(NamedTuple):
-    """What is kept of one run."""
-
     numbers: JointNumbers
     failure: str = ""  # why it failed, in one line; empty if it did not
 
@@ -313,5 +306,4 @@ class RunTable:
 
     @property
     def failures(self) -> int:
-        """Number of runs that failed."""
         return sum(bool(record.failure) for record in self.records.values())

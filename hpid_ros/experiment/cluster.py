@@ -295,7 +295,6 @@ def _connect(address: str) -> Any:
 
 
 async def _identity(address: str) -> None:
-    """Ask who is there."""
     from distributed.core import rpc
 
     connect: Any = rpc

@@ -24,8 +24,6 @@ from hpid_ros.stability.gain_check import certificates
 
 @dataclass(frozen=True)
 class SingleRun:
-    """What one run gives back."""
-
     report: RunReport  # how it went
     result: Result | None  # the numbers; None when nothing was recorded
     folder: ResultFolder  # where everything lies
@@ -41,7 +39,6 @@ def run_controller(
     force: bool = False,
     is_tried: bool = False,
 ) -> SingleRun:
-    """Run one controller."""
     if label not in experiment.controllers:
         raise ExperimentError(unknown_name("controller", label, experiment.controllers))
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
@@ -69,8 +66,6 @@ def _tell_engine(experiment: Experiment, progress: Progress) -> None:
 
 @dataclass(frozen=True)
 class Compared:
-    """What a comparison gives back."""
-
     result: Result  # the numbers
     reports: tuple[RunReport, ...]  # how each run went
     folder: ResultFolder  # where everything lies
@@ -106,8 +101,6 @@ def compare(
 
 @dataclass(frozen=True)
 class ComparedEngines:
-    """What a comparison in several engines gives back."""
-
     compared: Mapping[str, Compared]  # the comparison in each engine, by its name
     totals: tuple[EngineTotal, ...]  # each total of each controller in all engines
     folder: ResultFolder  # where everything lies

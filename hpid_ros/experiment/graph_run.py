@@ -157,7 +157,6 @@ class GraphNodes:
         ]
 
     def bridge_arguments(self) -> list[str]:
-        """Return the ROS arguments of the bridge."""
         joints = len(self._experiment.world.joints)
         controllers = 1 if self._are_messages_shared else joints
         return [
@@ -184,7 +183,6 @@ def require_node_names(joints: Iterable[str]) -> None:
 
 
 def _parameters(**values: object) -> list[str]:
-    """Return ROS arguments that set parameters."""
     arguments = []
     for name, value in values.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
@@ -253,7 +251,6 @@ class _GraphRun:
         self._closed: set[str] = set()
 
     def start(self) -> None:
-        """Start every node."""
         self._progress.phase(self._label, "starting the nodes")
         for node in self._nodes.start(self._group):
             self._selector.register(node.events, selectors.EVENT_READ, node)
@@ -387,7 +384,6 @@ class Trial:
 
     @property
     def line(self) -> str:
-        """The trial in one line."""
         found = (
             f"trial of {self.cycles} states: a cycle takes {self.median:.2f} ms, 99 of 100 at "
             f"most {self.p99:.2f} ms"

@@ -49,12 +49,10 @@ def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> d
 
 
 def controllers_text(settings: Sequence[LoopSettings], robot: str = "") -> str:
-    """Return the same as the text of a file."""
     return str(yaml.safe_dump(controllers_document(settings, robot), sort_keys=False))
 
 
 def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
-    """Return the parameters of the bridge."""
     return {
         f"{ANYWHERE}{bridge_name(experiment.world)}": {
             "ros__parameters": {
@@ -188,7 +186,6 @@ class _Recorder:
         self._count = 0
 
     def observe(self, sample: Sample) -> None:
-        """Write one state and its commands."""
         now = time.time_ns()
         stamp_ns = sample.stamp_ns
         self._writer.write(

@@ -121,7 +121,6 @@ _SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
 
 
 def closed_environment(domain: int) -> dict[str, str]:
-    """Return the environment for a closed process."""
     environment = {name: value for name, value in os.environ.items() if name not in _OPENING}
     environment.update(CLOSED_MODE)
     environment["ROS_DOMAIN_ID"] = str(domain)
@@ -229,7 +228,6 @@ class Beginning:
     is_batch: bool = False
 
     def __call__(self) -> None:
-        """Run it, in the child."""
         _LIBC.prctl(_PR_SET_PDEATHSIG, self.parting)
         if self.is_batch:
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -299,7 +297,6 @@ class NodeProcess:
 
     @property
     def pid(self) -> int:
-        """Process id."""
         return self.process.pid
 
     def read_events(self) -> list[dict[str, Any]]:
@@ -342,7 +339,6 @@ class NodeGroup:
         is_renamed: bool = True,
         has_input: bool = False,
     ) -> NodeProcess:
-        """Start a node."""
         log = self._logs / f"{name}.log"
         with uninterrupted():
             self.nodes[name] = node = NodeProcess(

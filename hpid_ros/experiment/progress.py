@@ -23,8 +23,6 @@ class JointTiming:
 
 @dataclass(frozen=True)
 class RunTiming:
-    """All nodes of a run."""
-
     cycle: DurationSpread  # between two states, as the bridge publishes them
     joints: Mapping[str, JointTiming]  # by joint
 
@@ -46,7 +44,6 @@ class RunTiming:
 def run_timing(
     finished: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]
 ) -> RunTiming:
-    """Put the bridge's and the controllers' events together."""
     bridge = finished["timing"]
     joints = {
         joint: JointTiming(
@@ -64,29 +61,19 @@ def run_timing(
 
 
 class Progress(Protocol):
-    """Is told how far a run is."""
+    """Receives how far a run is."""
 
-    def phase(self, label: str, what: str) -> None:
-        """A run enters a phase."""
-
-    def note(self, line: str) -> None:
-        """Something is worth knowing before a run begins."""
-
-    def advanced(self, label: str, simulated: float) -> None:
-        """A run has come this far."""
+    def phase(self, label: str, what: str) -> None: ...
+    def note(self, line: str) -> None: ...  # something worth knowing before a run begins
+    def advanced(self, label: str, simulated: float) -> None: ...
 
 
 class NoProgress:
     """Progress that nobody looks at."""
 
-    def phase(self, label: str, what: str) -> None:
-        """Say nothing."""
-
-    def note(self, line: str) -> None:
-        """Say nothing."""
-
-    def advanced(self, label: str, simulated: float) -> None:
-        """Say nothing."""
+    def phase(self, label: str, what: str) -> None: ...
+    def note(self, line: str) -> None: ...
+    def advanced(self, label: str, simulated: float) -> None: ...
 
 
 class NamedProgress:
@@ -100,11 +87,9 @@ class NamedProgress:
         self._progress.phase(named(label or self._last, self._name), what)
 
     def note(self, line: str) -> None:
-        """Pass it on."""
         self._progress.note(line)
 
     def advanced(self, label: str, simulated: float) -> None:
-        """Pass it on."""
         self._progress.advanced(named(label, self._name), simulated)
 
 
@@ -125,7 +110,6 @@ class RunReport:
     timing: RunTiming | None = None  # what the nodes measured; None without nodes
 
     def as_mapping(self) -> dict[str, object]:
-        """Return everything, ready for JSON."""
         timing = self.timing.as_mapping() if self.timing else None
         return {**vars(self), "rate": self.rate, "timing": timing}
 

@@ -164,8 +164,6 @@ def _frame(experiment: Experiment) -> TaskFrame | None:
 
 @dataclass(frozen=True)
 class Result:
-    """A comparison, computed."""
-
     experiment: Experiment  # what was compared
     runs: tuple[RunSeries, ...]  # the recorded runs, the baseline first
     comparison: Comparison  # their numbers
@@ -223,7 +221,6 @@ class Result:
         return (*unfollowed_lines(self.runs), *task, *slips)
 
     def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
-        """Return every parameter by run, joint and name."""
         return {
             label: {each.joint: dict(each.to_parameters()) for each in settings}
             for label, settings in self.experiment.controllers.items()
@@ -231,7 +228,6 @@ class Result:
 
 
 def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
-    """Read the bags and compute the indices."""
     how = Measuring(
         BagSelection(joints=experiment.world.joints), description=experiment.description
     )

@@ -92,7 +92,6 @@ class Marker:
             ) from None
 
     def write(self, folder: Path) -> None:
-        """Write the marker into a folder."""
         document = {
             "about": "Written by hpid_ros: --force removes the files listed here and no others.",
             "hpid_ros": __version__,
@@ -173,7 +172,6 @@ class ResultFolder:
         return path
 
     def write(self, name: str, content: str | bytes) -> None:
-        """Write one file of the result as a whole."""
         path = self.file(name)
         with system_errors(f"cannot write {path}"):
             write_file(path, content)
@@ -188,11 +186,9 @@ class ResultFolder:
 
     @property
     def figures(self) -> Path:
-        """Existing folder of the figures."""
         return self.folder("figures", is_made=True)
 
     def bag(self, label: str) -> Path:
-        """Return the folder of a run's bag."""
         return self.folder(f"bags/{label}")
 
     def nodes(self, label: str) -> Path:
@@ -275,11 +271,9 @@ class ResultPart(ResultFolder):
         return self._whole.path / self._name
 
     def file(self, name: str) -> Path:
-        """Return the path of a file that is about to be written, as the whole does."""
         return self._whole.file(f"{self._name}/{name}")
 
     def folder(self, name: str, *, is_made: bool = False) -> Path:
-        """Return a folder of which everything is ours, as the whole does."""
         return self._whole.folder(f"{self._name}/{name}", is_made=is_made)
 
 

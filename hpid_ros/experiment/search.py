@@ -68,11 +68,9 @@ class Cost:
         return cls({quantity.key: 1.0 for quantity in PAPER_QUANTITIES})
 
     def as_mapping(self) -> dict[str, object]:
-        """Return what it is, for a file."""
         return {"weights": dict(self.weights)}
 
     def of(self, ratios: Mapping[str, float]) -> float:
-        """Return the cost."""
         counted = {key: weight for key, weight in self.weights.items() if weight > 0.0}
         if any(not math.isfinite(ratios[key]) for key in counted):
             return math.inf
@@ -107,7 +105,6 @@ class WorstExcess:
         return max(excesses) if all(map(math.isfinite, excesses)) else math.inf
 
     def as_mapping(self) -> dict[str, object]:
-        """Return what it is, for a file."""
         return {"limits": dict(self.limits)}
 
 
@@ -281,7 +278,6 @@ class SearchSpace:
         return replace(self, parameters=parameters)
 
     def controller(self, values: Sequence[float]) -> tuple[LoopSettings, ...]:
-        """Return the controller at a point."""
         found = {each.name: value for each, value in zip(self.parameters, values, strict=True)}
         loops = []
         for each in self.start:
@@ -389,16 +385,13 @@ class SearchPlan:
 
     @property
     def training_seeds(self) -> tuple[int, ...]:
-        """The seeds that points are run with."""
         return tuple(self.experiment.seed + _TRAINING + k for k in range(self.seeds))
 
     @property
     def total(self) -> int:
-        """Points of the whole search."""
         return self.evaluations * (1 + len(self.joints) * self.per_joint)
 
     def tasks(self, name: str, loops: Loops) -> list[RunTask]:
-        """Return the runs of one controller, one for each training seed."""
         return [
             RunTask.seeded(self.experiment, name, seed, loops, self.joints)
             for seed in self.training_seeds
@@ -409,8 +402,6 @@ _LEAST_POPULATION, _POPULATION_PER_PARAMETER = 5, 4
 
 
 class Search:
-    """A search under way, with everything that it has found so far."""
-
     def __init__(
         self,
         plan: SearchPlan,
@@ -520,7 +511,6 @@ class Search:
         return Evaluation(number, stage, values, loops)
 
     def _judged(self, point: Evaluation, outcomes: Sequence[Outcome]) -> Evaluation:
-        """Return a point with its cost."""
         runs, failures = _numbers(outcomes)
         if failures:
             return replace(point, note=f"failed: {failures[0]}")
@@ -656,7 +646,6 @@ class SearchResult:
         }
 
     def table(self) -> str:
-        """Return in a few lines what was found."""
         plan, best = self._plan, self._search.best
         made = len(self._search.evaluations)
         refused = sum(each.note.startswith("refused") for each in self._search.evaluations)
@@ -678,7 +667,6 @@ class SearchResult:
         return "\n".join(lines) + "\n"
 
     def save(self, folder: ResultFolder) -> None:
-        """Write everything."""
         folder.write("points.csv", self.points_csv())
         folder.write("tune.json", json.dumps(self.as_mapping(), indent=2) + "\n")
         folder.write("table.txt", self.table())

@@ -50,7 +50,6 @@ class StudyEntry:
 
     @property
     def engine(self) -> str:
-        """Who computes the physics."""
         return self.experiment.world.engine
 
     @property
@@ -70,12 +69,10 @@ class StudyEntry:
 
     @property
     def baseline(self) -> str:
-        """Label of the first controller."""
         return next(iter(self.experiment.controllers))
 
     @property
     def others(self) -> tuple[str, ...]:
-        """Labels of the other controllers."""
         return tuple(self.experiment.controllers)[1:]
 
 
@@ -104,8 +101,6 @@ ALL = Shard()
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """Everything that decides a study's numbers."""
-
     entries: tuple[StudyEntry, ...]  # the experiments, of unlike names
     count: int  # seeds of each controller: the experiment's own and those that follow it
     shard: Shard = ALL  # the part of all runs that is made here
@@ -118,11 +113,9 @@ class StudyPlan:
 
     @property
     def inputs(self) -> list[Path]:
-        """Files that were read."""
         return [file for entry in self.entries for file in entry.experiment.inputs]
 
     def seeds(self, entry: StudyEntry) -> tuple[int, ...]:
-        """Return the seeds of an experiment's runs."""
         return tuple(entry.experiment.seed + k for k in range(self.count))
 
     def tasks(self) -> dict[RunKey, RunTask]:

@@ -57,8 +57,6 @@ class ClaimVerdict(Enum):
 
 @dataclass(frozen=True)
 class PaperClaim:
-    """One claim."""
-
     key: str  # name in files
     text: str  # the claim in words
     holds: Callable[[Evidence], bool | None]  # whether evidence supports it
@@ -162,8 +160,6 @@ SETTLED = 0.01
 
 @dataclass(frozen=True)
 class StudyResult:
-    """What a study gave."""
-
     plan: StudyPlan  # what was run
     records: Mapping[tuple[object, ...], RunRecord]  # of each run; an interrupted study lacks some
     _checker: DegreeChecker = field(default_factory=DegreeChecker, repr=False, compare=False)

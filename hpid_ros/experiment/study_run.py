@@ -61,7 +61,6 @@ def grids(result: StudyResult) -> list[Grid]:
 
 
 def study_text(result: StudyResult) -> str:
-    """Return all tables as plain text."""
     return grids_text(grids(result))
 
 
@@ -142,7 +141,6 @@ def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
 
 
 def _joints(result: StudyResult, entry: StudyEntry) -> Grid:
-    """Return every index's ratio joint by joint."""
     quantities: tuple[Quantity, ...] = PAPER_QUANTITIES
     unit = unit_over("rad", entry.are_slides)
     rows = [
@@ -340,7 +338,6 @@ def runs_csv(result: StudyResult) -> str:
 
 
 def _digests(plan: StudyPlan) -> dict[tuple[str, str], str]:
-    """Return what decides the numbers of each experiment in each engine."""
     return {(each.experiment.name, each.engine): each.digest for each in plan.entries}
 
 

@@ -65,14 +65,11 @@ _FORMS = "NAME=START:STOP:COUNT or NAME=VALUE,VALUE,..."
 
 @dataclass(frozen=True)
 class Axis:
-    """One direction of a grid."""
-
     name: str  # a loop's parameter or one of WORLD_SETTINGS
     values: tuple[Value, ...]  # its values, each once, in the order given
 
     @classmethod
     def parse(cls, text: str) -> Axis:
-        """Return the axis that a text says."""
         name, equals, rest = (part.strip() for part in text.partition("="))
         try:
             if not equals or not name or not rest:
@@ -87,12 +84,10 @@ class Axis:
 
 
 def shown(value: Value) -> str:
-    """Return a value as a person would write it."""
     return value if isinstance(value, str) else f"{value:.12g}"
 
 
 def _is_text(name: str) -> bool:
-    """Return whether a parameter is a text and no number."""
     names = [*(each for each in PARAMETERS if each != "joint"), *WORLD_SETTINGS]
     if name not in names:
         raise SettingError(unknown_name("parameter", name, names))
@@ -193,7 +188,6 @@ def _assigned(axes: Sequence[Axis], values: Sequence[Value]) -> dict[str, Value]
 
 
 def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
-    """Return the baseline on the robot of these values."""
     label, loops = next(iter(experiment.controllers.items()))
     world = experiment.world
     try:
@@ -236,8 +230,6 @@ LARGEST_SWEEP = 1_000_000
 
 @dataclass(frozen=True)
 class Sweep:
-    """Everything that decides a sweep's numbers."""
-
     experiment: Experiment  # gives the robot, the reference and the controllers
     axes: tuple[Axis, ...]  # what is varied; the last one varies fastest
     controller: str  # label of the controller that is varied
@@ -261,7 +253,6 @@ class Sweep:
 
     @property
     def judged(self) -> tuple[str, ...]:
-        """The joints that are judged."""
         return self.joints or self.experiment.world.joints
 
     def tasks(self) -> dict[tuple[int, int], RunTask]:
@@ -339,8 +330,6 @@ def _require_effect(loops: Sequence[LoopSettings], label: str, names: Sequence[s
 
 @dataclass(frozen=True)
 class SweepResult:
-    """What a sweep gave."""
-
     sweep: Sweep  # what was run
     records: Mapping[tuple[object, ...], RunRecord]  # of each run, by place of the row and seed
 
