@@ -14,6 +14,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -88,13 +89,20 @@ class Fields:
         except UnicodeDecodeError:
             raise BagError("a text of an MCAP record is not UTF-8") from None
 
+    def pairs(self) -> dict[int, int]:
+        """Return the next map of channels to numbers."""
+        return {self.number(2): self.number(8) for _ in range(self.number(4) // 10)}
+
 
 class Catalogue:
-    """Schemas and channels, as their records come by."""
+    """Schemas and channels, as their records come by; in a summary, what is in the chunks, too."""
 
     def __init__(self) -> None:
         self.channels: dict[int, Channel] = {}
-        self.lacks_schemas = False
+        self.counts: dict[int, int] | None = None  # number of messages by channel
+        # channels of each chunk, by its position in the file
+        self.chunk_channels: dict[int, frozenset[int]] = {}
+        self._lacks_schemas = False
         self._schemas: dict[int, tuple[str, str]] = {}
 
     def add(self, opcode: int, content: bytes) -> None:
@@ -108,8 +116,22 @@ class Catalogue:
         elif opcode == CHANNEL:
             number, schema = fields.number(2), fields.number(2)
             topic, encoding = fields.text(), fields.text()
-            self.lacks_schemas |= schema != 0 and schema not in self._schemas
+            self._lacks_schemas |= schema != 0 and schema not in self._schemas
             self.channels[number] = Channel(topic, *self._schemas.get(schema, ("", "")), encoding)
+        elif opcode == STATISTICS:
+            fields.take(8 + 2 + 4 + 4 + 4 + 4 + 8 + 8)  # totals and times
+            self.counts = fields.pairs()
+        elif opcode == CHUNK_INDEX:
+            fields.take(16)
+            position = fields.number(8)
+            fields.take(8)
+            self.chunk_channels[position] = frozenset(fields.pairs())
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all channels of the file are there, with their schemas."""
+        named = frozenset().union(*self.chunk_channels.values(), self.counts or ())
+        return self.counts is not None and named <= set(self.channels) and not self._lacks_schemas
 
 
 def is_sound(peek: Peek, position: int, end: int) -> bool:
@@ -499,17 +521,8 @@ _FOOTER_FIELDS = 20
 _CRC_SIZE = 4
 
 
-class McapSummary(NamedTuple):
-    """What the end of a file says about it."""
-
-    catalogue: Catalogue  # its channels
-    counts: Mapping[int, int] | None  # number of messages by channel
-    # channels of each chunk, by its position in the file
-    chunk_channels: Mapping[int, frozenset[int]]
-    is_complete: bool  # whether all channels are in the catalogue, with their schemas
-
-
-def read_summary(stream: BinaryIO, size: int) -> McapSummary:
+def read_summary(stream: BinaryIO, size: int) -> Catalogue:
+    """Return what the end of a file says about it."""
     tail_size = FRAME_SIZE + _FOOTER_FIELDS + len(MAGIC)
     if size < tail_size + len(MAGIC):
         raise BagError("no footer")
@@ -526,50 +539,14 @@ def read_summary(stream: BinaryIO, size: int) -> McapSummary:
     checked = records + tail[: FRAME_SIZE + _FOOTER_FIELDS - _CRC_SIZE]
     if crc and zlib.crc32(checked) != crc:
         raise BagError("the summary has a wrong checksum")
-    return _parsed(records)
-
-
-def _parsed(records: bytes) -> McapSummary:
-    catalogue = Catalogue()
-    counts: dict[int, int] | None = None
-    chunk_channels: dict[int, frozenset[int]] = {}
-    at = 0
+    catalogue, at = Catalogue(), 0
     while at + FRAME_SIZE <= len(records):
         opcode, length = FRAME.unpack_from(records, at)
-        at += FRAME_SIZE
-        if at + length > len(records):
+        at += FRAME_SIZE + length
+        if at > len(records):
             raise BagError("the summary is damaged")
-        content = records[at : at + length]
-        at += length
-        if opcode == STATISTICS:
-            counts = _counts(content)
-        elif opcode == CHUNK_INDEX:
-            position, channels = _chunk_channels(content)
-            chunk_channels[position] = channels
-        else:
-            catalogue.add(opcode, content)
-    named = {channel for channels in chunk_channels.values() for channel in channels}
-    is_complete = (
-        counts is not None
-        and named | set(counts) <= set(catalogue.channels)
-        and not catalogue.lacks_schemas
-    )
-    return McapSummary(catalogue, counts, chunk_channels, is_complete)
-
-
-def _counts(content: bytes) -> dict[int, int]:
-    fields = Fields(content)
-    fields.take(8 + 2 + 4 + 4 + 4 + 4 + 8 + 8)  # totals and times
-    return {fields.number(2): fields.number(8) for _ in range(fields.number(4) // 10)}
-
-
-def _chunk_channels(content: bytes) -> tuple[int, frozenset[int]]:
-    fields = Fields(content)
-    fields.take(16)
-    position = fields.number(8)
-    fields.take(8)
-    pairs = {fields.number(2): fields.number(8) for _ in range(fields.number(4) // 10)}
-    return position, frozenset(pairs)
+        catalogue.add(opcode, records[at - length : at])
+    return catalogue
 
 
 class McapFile:
@@ -585,18 +562,13 @@ class McapFile:
             self._stream.close()
             raise BagError("it does not begin as an MCAP file")
         self._catalogue = Catalogue()
-        self._counts: Mapping[int, int] | None = None
-        self._chunk_channels: Mapping[int, frozenset[int]] = {}
-        try:
+        with suppress(BagError):
             summary = read_summary(self._stream, self._size)
-        except BagError:
-            self._find_channels(report)
-            return
-        self._counts = summary.counts
-        if summary.is_complete:
-            self._catalogue, self._chunk_channels = summary.catalogue, summary.chunk_channels
-        else:
-            self._find_channels(report)
+            if summary.is_complete:
+                self._catalogue = summary
+                return
+            self._catalogue.counts = summary.counts
+        self._find_channels(report)
 
     def _find_channels(self, report: Report) -> None:
         """Walk every record once for the channels alone."""
@@ -613,8 +585,8 @@ class McapFile:
         for number, channel in self._catalogue.channels.items():
             before = topics.get(channel.topic)
             count = None
-            if self._counts is not None:
-                count = self._counts.get(number, 0) + (
+            if self._catalogue.counts is not None:
+                count = self._catalogue.counts.get(number, 0) + (
                     (before.message_count or 0) if before else 0
                 )
             topics[channel.topic] = TopicInfo(
@@ -630,7 +602,7 @@ class McapFile:
     ) -> Iterator[TopicBatch]:
         """Yield the messages of some topics; what cannot be read is reported, never raised."""
         numbers = frozenset(n for n, c in self._catalogue.channels.items() if c.topic in topics)
-        chunks = self._chunk_channels
+        chunks = self._catalogue.chunk_channels
         found: Counter[int] = Counter()
 
         def is_wanted(position: int) -> bool:
@@ -651,13 +623,13 @@ class McapFile:
         self, numbers: Iterable[int], found: Mapping[int, int], report: Report
     ) -> None:
         """Report where the file holds another number of messages than its statistics count."""
-        if self._counts is None:
+        if self._catalogue.counts is None:
             return
         counted: Counter[str] = Counter()
         seen: Counter[str] = Counter()
         for number in numbers:
             topic = self._catalogue.channels[number].topic
-            counted[topic] += self._counts.get(number, 0)
+            counted[topic] += self._catalogue.counts.get(number, 0)
             seen[topic] += found.get(number, 0)
         line = count_difference(counted, seen)
         if line:
