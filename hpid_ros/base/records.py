@@ -437,6 +437,11 @@ def parameters_of(kind: type[Record]) -> Mapping[str, ParameterSpec]:
     return _parameters(cast(Any, kind))
 
 
+def names_of(*kinds: type[Record]) -> list[str]:
+    """Return the names of the parameters of some records."""
+    return [name for kind in kinds for name in parameters_of(kind)]
+
+
 @cache
 def _parameters(kind: Any) -> Mapping[str, ParameterSpec]:
     found = {}

@@ -16,6 +16,7 @@ import select
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,22 +26,30 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import HpidError, MessageError, SettingError
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages.joint_state import EffortReader, decode_joint_state
 from hpid_ros.motion.excitation import ExcitationPlan, PlannedJoint
 from hpid_ros.motion.joint_trajectory import PointArrays
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, NEWEST_STATES, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import read_only
+from hpid_ros.nodes.core.process import read
 from hpid_ros.nodes.core.status import StatusPipe
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
 from hpid_ros.nodes.parts.goal_graph import FollowerInputs, GroupTrajectoryPublisher
 from hpid_ros.nodes.parts.goals import GoalRequest, GroupSettings, JointFacts, ResultCode
 
 
+@dataclass(frozen=True)
+class OrderParameters(Record):
+    """What shall be done."""
+
+    plan_file: str = quantity("JSON file that hpid has written", default="")
+
+
 def read_order(node: Node) -> dict[str, Any]:
     """Return what the file says that the parameter ``plan_file`` names."""
-    file = str(read_only(node, "plan_file", "", "JSON file that hpid has written"))
+    file = read(node, OrderParameters).plan_file
     try:
         return dict(json.loads(Path(file).read_text()))
     except (OSError, ValueError, TypeError) as error:

@@ -7,16 +7,17 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from rclpy.task import Future
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.live.graph_client import GraphClient
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import steady_timer
-from hpid_ros.nodes.core.process import read_number, read_only
-from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 
 _LARGEST_PORT = 65535
 _NICENESS = 10  # controllers come first
@@ -24,34 +25,41 @@ _LOOK_PERIOD = 0.05  # [s]
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
+@dataclass(frozen=True)
+class TunerParameters(Record):
+    """How the page is served."""
+
+    host: str = quantity("Address to listen at", default="127.0.0.1")
+    port: int = quantity(
+        "Port to listen at; 0 chooses a free one", default=8080, least=0, most=_LARGEST_PORT
+    )
+    token: str = quantity("What opens the page, in its address; empty draws one", default="")
+    open_browser: bool = quantity("Open the page where there is a display", default=True)
+    rate: float = quantity("Frames a second", "Hz", default=30.0, least=5.0, most=60.0)
+    button_timeout: float = quantity(
+        "Of a held button, then joints stop", "s", default=0.4, least=0.2, most=2.0
+    )
+
+
 class LiveTuner(executor.ClosingNode):
     """The graph on one side, the page's server on the other."""
 
     def __init__(self) -> None:
         super().__init__("live_tuner")
-        host = str(read_only(self, "host", "127.0.0.1", "Address to listen at"))
-        port = read_only(self, "port", 8080, "Port to listen at; 0 chooses a free one")
-        token = str(
-            read_only(self, "token", "", "What opens the page, in its address; empty draws one")
-        )
-        opens = read_only(self, "open_browser", True, "Open the page where there is a display")
-        rate = read_number(self, "rate", 30.0, "Frames a second [Hz]", (5.0, 60.0))
-        within = read_number(
-            self, "button_timeout", 0.4, "Of a held button, then joints stop [s]", (0.2, 2.0)
-        )
-        if not 0 <= port <= _LARGEST_PORT:
-            raise SettingError(f"port must lie in [0, {_LARGEST_PORT}], not {port}")
+        asked = read(self, TunerParameters)
         self._status = StatusPipe(self)
         self._graph = GraphClient(self)
         # Its library, which no other node needs, is imported here.
         from hpid_ros.live.page.server import ServerSettings, serve
 
-        settings = ServerSettings(host, port, token, rate, button_timeout=within)
+        settings = ServerSettings(
+            asked.host, asked.port, asked.token, asked.rate, button_timeout=asked.button_timeout
+        )
         self._served = serve(self._graph, settings)
         url = self._served.url
         print(f"hpid live: {url}", flush=True)
         self._status.send("serving", url=url)
-        if opens and any(os.environ.get(each) for each in _DISPLAYS):
+        if asked.open_browser and any(os.environ.get(each) for each in _DISPLAYS):
             # A browser that nobody has used yet takes seconds.
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
@@ -84,7 +92,7 @@ USAGE = Usage(
     "live_tuner",
     "Serves a page on which a person sees, retunes, tries and stops running controllers.",
     "",
-    ["host", "port", "token", "open_browser", "rate", "button_timeout", "status_fd"],
+    names_of(TunerParameters, StatusParameters),
     [
         *("joint_states", "joint_commands", "CONTROLLER/reference", "CONTROLLER/transition_event"),
         *("/diagnostics", "/parameter_events"),

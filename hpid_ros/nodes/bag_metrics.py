@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.files import find_resource
+from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.messages.selection import BagSelection, parse_command_topics
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure, measure_all
@@ -20,8 +21,8 @@ from hpid_ros.metrics.results import RunIndices, in_units
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import LATCHED, steady_timer
-from hpid_ros.nodes.core.process import read_choice, read_only
-from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.report.export import FORMATS
 from hpid_ros.robot.description import RobotDescription
 
@@ -60,6 +61,45 @@ class FinishedBags:
 _LOOK_PERIOD = 0.5  # [s]
 
 
+@dataclass(frozen=True)
+class MetricsParameters(Record):
+    """Which bags are read, how, and what is printed."""
+
+    bags: tuple[str, ...] | None = quantity(
+        "Bags to read; the first is the baseline", default=None
+    )
+    watch: str = quantity("Folder: report each bag finished in it", default="")
+    labels: tuple[str, ...] | None = quantity(
+        "One for each bag; folder names if left out", default=None
+    )
+    joints: tuple[str, ...] | None = quantity("Only these joints; all if left out", default=None)
+    format: str = quantity(
+        f"Of the output: {', '.join(FORMATS)}", default="table", choices=tuple(FORMATS)
+    )
+    units: str = quantity(
+        f"Of angles: {', '.join(ANGLE_UNITS)}", default="rad", choices=ANGLE_UNITS
+    )
+    indices: str = quantity("Comma-separated: paper, step, all, or keys", default="paper")
+    keep_running: bool = quantity("Stay, with the result latched on ~/indices", default=False)
+    reference: str = quantity("Topic of the reference, its kind, or hold", default="auto")
+    commands: str = quantity("Topic of the efforts; effort; none", default="")
+    command_topics: tuple[str, ...] | None = quantity(
+        "JOINT=TOPIC[INDEX] of efforts", default=None
+    )
+    robot_description: str = quantity(
+        "URDF that says which joints slide, in m and N; else the bags say it", default=""
+    )
+
+    def selection(self) -> BagSelection:
+        """Return what is read from a bag."""
+        return BagSelection(
+            joints=self.joints,
+            commands=self.commands or None,
+            command_topics=parse_command_topics(self.command_topics or ()),
+            reference=self.reference,
+        )
+
+
 class BagMetrics(executor.ClosingNode):
     """Reads the bags of its parameters, prints the table, and offers the numbers.
 
@@ -70,32 +110,20 @@ class BagMetrics(executor.ClosingNode):
     def __init__(self) -> None:
         super().__init__("bag_metrics")
         self._status = StatusPipe(self)
-        strings = Parameter.Type.STRING_ARRAY
-        bags = read_only(self, "bags", strings, "Bags to read; the first is the baseline")
-        watch = str(read_only(self, "watch", "", "Folder: report each bag finished in it"))
+        asked = read(self, MetricsParameters)
+        bags, labels, watch = asked.bags, asked.labels, asked.watch
         if not bags and not watch:
             raise SettingError(
                 "the parameter bags must name at least one bag, or watch a folder; both are empty"
             )
-        labels = read_only(self, "labels", strings, "One for each bag; folder names if left out")
-        joints = read_only(self, "joints", strings, "Only these joints; all if left out")
-        robot = str(
-            read_only(
-                self,
-                "robot_description",
-                "",
-                "URDF that says which joints slide, in m and N; else the bags say it",
-            )
-        )
         self._how = Measuring(
-            self._read_selection(joints),
-            description=_description(robot) if robot else None,
+            asked.selection(),
+            description=_description(asked.robot_description) if asked.robot_description else None,
             keeps_series=False,
         )
-        self._read_format()
-        stays = read_only(
-            self, "keep_running", False, "Stay, with the result latched on ~/indices"
-        )
+        self._format, self._units = asked.format, asked.units
+        self._paper = asked.indices == "paper"
+        self._indices = find_quantities(asked.indices.split(","))
         self._bags = FinishedBags(Path(watch)) if watch else None
         self._baseline: RunIndices | None = None
         self._publisher = self.create_publisher(DiagnosticArray, "~/indices", LATCHED)
@@ -114,34 +142,8 @@ class BagMetrics(executor.ClosingNode):
         if self._bags is not None:
             steady_timer(self, _LOOK_PERIOD, self._look)
             self.get_logger().info(f"watching {watch}")
-        elif not stays:
+        elif not asked.keep_running:
             steady_timer(self, 0.0, self.request_stop)
-
-    def _read_selection(self, joints: Sequence[str] | None) -> BagSelection:
-        reference = str(
-            read_only(self, "reference", "auto", "Topic of the reference, its kind, or hold")
-        )
-        commands = str(read_only(self, "commands", "", "Topic of the efforts; effort; none"))
-        topics = read_only(
-            self, "command_topics", Parameter.Type.STRING_ARRAY, "JOINT=TOPIC[INDEX] of efforts"
-        )
-        return BagSelection(
-            joints=joints,
-            commands=commands or None,
-            command_topics=parse_command_topics(topics or ()),
-            reference=reference,
-        )
-
-    def _read_format(self) -> None:
-        text = f"Of the output: {', '.join(FORMATS)}"
-        self._format = read_choice(self, "format", "table", text, FORMATS)
-        text = f"Of angles: {', '.join(ANGLE_UNITS)}"
-        self._units = read_choice(self, "units", "rad", text, ANGLE_UNITS)
-        names = str(
-            read_only(self, "indices", "paper", "Comma-separated: paper, step, all, or keys")
-        )
-        self._paper = names == "paper"
-        self._indices = find_quantities(names.split(","))
 
     def _look(self) -> None:
         assert self._bags is not None
@@ -208,10 +210,7 @@ USAGE = Usage(
     "bag_metrics",
     "Computes the indices of recorded bags, prints them and publishes them latched.",
     "-p bags:=[FOLDER, ...]",
-    [
-        *("bags", "watch", "labels", "joints", "format", "units", "indices", "keep_running"),
-        *("reference", "commands", "command_topics", "robot_description", "status_fd"),
-    ],
+    names_of(MetricsParameters, StatusParameters),
     publishes=["~/indices"],
 )
 

@@ -13,19 +13,19 @@ import re
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import yaml
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.validate_topic_name import validate_topic_name
 
 from hpid_ros.base.errors import BagError, HpidError, SettingError
+from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.messages.storage import PARAMETERS, missed_entries, slides_entry
@@ -33,16 +33,33 @@ from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import OFFERED, steady_timer
-from hpid_ros.nodes.core.process import read_only
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]
 _DIAGNOSTICS_PERIOD = 1.0  # [s]
 _LATCHED_WITHIN = 2.0  # [s] for a latched message; its topic may have none
 _STANDSTILL = 2.0  # [s] between two reports: well below the lease after which nobody counts
-_DEFAULT_TOPICS = ["/parameter_events", "joint_trajectory", "joint_commands", "joint_states"]
 _MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
+
+
+@dataclass(frozen=True)
+class RecorderParameters(Record):
+    """What is recorded, and where."""
+
+    bag: str = quantity("Folder of the bag to create", default="")
+    topics: tuple[str, ...] = quantity(
+        "Topics to record, subscribed in this order",
+        default=("/parameter_events", "joint_trajectory", "joint_commands", "joint_states"),
+    )
+    controllers_file: str = quantity(
+        "Parameter file of the controllers, kept in the bag so that hpid replay finds it",
+        default="",
+    )
+    slides: tuple[str, ...] | None = quantity(
+        "Joints that slide, noted in the bag so that their numbers are in m and N", default=None
+    )
 
 
 class BagRecorder(executor.ClosingNode):
@@ -56,10 +73,8 @@ class BagRecorder(executor.ClosingNode):
 
     def __init__(self) -> None:
         super().__init__("bag_recorder")
-        path = str(read_only(self, "bag", "", "Folder of the bag to create"))
-        topics = read_only(
-            self, "topics", _DEFAULT_TOPICS, "Topics to record, subscribed in this order"
-        )
+        asked = read(self, RecorderParameters)
+        path, topics = asked.bag, asked.topics
         if not path or not topics:
             raise SettingError("the parameters bag and topics must name a new folder and topics")
         for topic in topics:
@@ -68,13 +83,8 @@ class BagRecorder(executor.ClosingNode):
         self._waiting = [self.resolve_topic_name(topic) for topic in topics]
         if len(set(self._waiting)) != len(self._waiting):
             raise SettingError(f"topics must name each topic once, not {', '.join(topics)}")
-        slides = read_only(
-            self,
-            "slides",
-            Parameter.Type.STRING_ARRAY,
-            "Joints that slide, noted in the bag so that their numbers are in m and N",
-        )
-        self._writer = BagWriter(path, metadata=_controllers(self) | slides_entry(slides or ()))
+        metadata = _controllers(asked.controllers_file) | slides_entry(asked.slides or ())
+        self._writer = BagWriter(path, metadata=metadata)
         self._failure = ""
         self._missed: dict[str, int] = {}
         self._latched: list[str] = []
@@ -223,16 +233,8 @@ class BagRecorder(executor.ClosingNode):
         self._status.send("closed", counts=counts, missed=_positive(self._missed))
 
 
-def _controllers(node: Node) -> dict[str, str]:
+def _controllers(file: str) -> dict[str, str]:
     """Return the entry of the bag's metadata that keeps the controllers' parameters."""
-    file = str(
-        read_only(
-            node,
-            "controllers_file",
-            "",
-            "Parameter file of the controllers, kept in the bag so that hpid replay finds it",
-        )
-    )
     if not file:
         return {}
     document = load_yaml(Path(file), SettingError)
@@ -285,7 +287,7 @@ USAGE = Usage(
     "bag_recorder",
     "Records topics into a new MCAP bag.",
     "-p bag:=FOLDER",
-    ["bag", "topics", "controllers_file", "slides", "status_fd"],
+    names_of(RecorderParameters, StatusParameters),
     ["those of the parameter topics"],
 )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -14,11 +15,12 @@ from rclpy.task import Future
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import controller_name
+from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import steady_timer
-from hpid_ros.nodes.core.process import declare, read_only
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.core.process import declare, read
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, GoalFollower, Outcome
 from hpid_ros.nodes.parts.goal_graph import FollowerInputs, GroupTrajectoryPublisher
 from hpid_ros.nodes.parts.goal_server import GoalServer, action_type
@@ -40,38 +42,49 @@ _READINESS_PERIOD = 0.05  # [s]
 _UNHEARD = "no controller listens to joint_trajectory"
 
 
+@dataclass(frozen=True)
+class ActionParameters(Record):
+    """The group of joints that follows goals."""
+
+    joints: tuple[str, ...] | None = quantity(
+        "Joints that follow goals, in the order of feedback", default=None
+    )
+    robot_description: str = quantity(
+        "URDF of the robot, XML text or path: positions in which joints stop, and which of "
+        "them turn without end",
+        default="",
+    )
+    angle_wraparound: tuple[str, ...] | None = quantity(
+        "Joints whose controllers have angle_wraparound", default=None
+    )
+    multi_turn: tuple[str, ...] | None = quantity(
+        "Joints whose controllers have multi_turn", default=None
+    )
+    state_topics: tuple[str, ...] | None = quantity(
+        "Topics that hold the states of the joints", default=None
+    )
+
+
 class GroupParameters:
     """Makes of a node's parameters the settings of its group."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        names = Parameter.Type.STRING_ARRAY
-        self.joints = tuple(
-            read_only(node, "joints", names, "Joints that follow goals, in the order of feedback")
-            or ()
-        )
+        asked = read(node, ActionParameters)
+        self.joints = asked.joints or ()
         require_joints(self.joints)
-        wrapping = read_only(
-            node, "angle_wraparound", names, "Joints whose controllers have angle_wraparound"
-        )
-        counting = read_only(node, "multi_turn", names, "Joints whose controllers have multi_turn")
-        self.state_topics = tuple(
-            read_only(node, "state_topics", names, "Topics that hold the states of the joints")
-            or ("joint_states",)
-        )
+        self.state_topics = asked.state_topics or ("joint_states",)
         if len(set(self.state_topics)) < len(self.state_topics) or "" in self.state_topics:
             raise SettingError(
                 f"the parameter state_topics must name each topic once, not "
                 f"{list(self.state_topics)}"
             )
-        source = read_only(
-            node,
-            "robot_description",
-            "",
-            "URDF of the robot, XML text or path: positions in which joints stop, and which of "
-            "them turn without end",
+        self._facts = joint_facts(
+            self.joints,
+            asked.robot_description,
+            asked.angle_wraparound or (),
+            asked.multi_turn or (),
         )
-        self._facts = joint_facts(self.joints, str(source), wrapping or (), counting or ())
         specs = {**FIXED_PARAMETERS, **GOAL_PARAMETERS}
         for joint in self.joints:
             specs |= joint_parameters(joint)
@@ -278,15 +291,11 @@ USAGE = Usage(
     "Offers the action FollowJointTrajectory over the controllers of many joints.",
     "-p joints:=[JOINT, ...] [-r __node:=NAME]",
     [
-        "joints",
-        "robot_description",
-        "angle_wraparound",
-        "multi_turn",
-        "state_topics",
+        *names_of(ActionParameters),
         *GOAL_PARAMETERS,
         *FIXED_PARAMETERS,
         *joint_parameters("*"),
-        "status_fd",
+        *names_of(StatusParameters),
     ],
     ["joint_states (or state_topics)", "joint_trajectory", "JOINT_controller/reference"],
     ["joint_trajectory", "/diagnostics"],

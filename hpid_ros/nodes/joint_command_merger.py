@@ -9,23 +9,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 
 from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALL_JOINTS
+from hpid_ros.base.records import Record, names_of, parameters_of, quantity
 from hpid_ros.messages.joint_state import EffortReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import read_choice, read_number, read_only, schedule
+from hpid_ros.nodes.core.process import Scheduling, read, read_one, schedule
 from hpid_ros.nodes.core.rclpy_internals import given_parameters
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.bridge_commanders import Commanders
-from hpid_ros.nodes.parts.claims import JointClaim, claims_joint
+from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
 from hpid_ros.nodes.parts.joint_topics import Sink, sender_of
-from hpid_ros.nodes.parts.lifecycle import ManagedNode
+from hpid_ros.nodes.parts.lifecycle import ManagedNode, ManagedParameters
 from hpid_ros.nodes.parts.merger import (
     LARGEST_EFFORT,
     LONGEST_TIMEOUT,
@@ -48,123 +48,123 @@ _LONGEST_FADE_IN = 100.0  # [s]
 _LEAST_SHARE = 0.01
 
 
+def _timeout(meaning: str) -> Any:
+    return quantity(meaning, "s", default=0.1, least=_LEAST_TIMEOUT, most=LONGEST_TIMEOUT)
+
+
 @dataclass(frozen=True)
-class MergerParameters:
+class MergerParameters(Record):
     """What the parameters say."""
+
+    joints: tuple[str, ...] | None = quantity(
+        "Order of the merged command; left out it is that of the controller's own parameter",
+        default=None,
+    )
+    controller: str = quantity(
+        "Group controller of ros2_control that gets the commands on its topic commands; "
+        "it is asked for its joints, and nothing is sent while it is not active",
+        default="",
+    )
+    controller_manager: str = quantity(
+        "Manager of that controller; controller_manager in its namespace if empty", default=""
+    )
+    command_interface: str = quantity(
+        f"Message of the merged commands: {', '.join(INTERFACES)}",
+        default=ARRAY,
+        choices=tuple(INTERFACES),
+    )
+    straggler_wait: float = quantity(
+        "How long answers wait for those to the same state, as part of the states' period",
+        default=0.5,
+        least=_LEAST_SHARE,
+        most=1.0,
+    )
+    command_timeout: float = _timeout("A joint is silent after so long")
+    fade_in_time: float = quantity(
+        "A joint that comes back is faded in from its fallback for so long [s]; 0 jumps",
+        default=0.1,
+        least=0.0,
+        most=_LONGEST_FADE_IN,
+    )
+
+
+@dataclass(frozen=True)
+class SilenceParameters(Record):
+    """What is said of the silence of one joint."""
+
+    command_timeouts: float = _timeout("The joint is silent after so long")
+    fallback_efforts: float = quantity(
+        "Effort of the joint while it is silent",
+        "N m or N",
+        default=0.0,
+        least=-LARGEST_EFFORT,
+        most=LARGEST_EFFORT,
+    )
+
+
+@dataclass(frozen=True)
+class MergerOptions:
+    """The parameters, with all names in full."""
 
     joints: tuple[str, ...]  # the order that was given; empty to take the controller's
     controller: str  # full name of the controller that gets the commands
     manager: str  # full name of that controller's manager
-    interface: str  # message of the merged commands
-    straggler_wait: float  # see MergerSettings
-    fade_in_time: float  # [s] likewise
-    timeout: float  # [s] of joints that have none of their own
+    given: MergerParameters
     timeouts: dict[str, float]  # [s] by joint
     fallbacks: dict[str, float]  # [N m] or [N], by joint
 
     def settings(self, order: Sequence[str]) -> MergerSettings:
-        joints = joints_of(order, self.timeout, self.timeouts, self.fallbacks)
-        return MergerSettings(joints, self.straggler_wait, self.fade_in_time)
+        """Return the settings of a merger."""
+        given = self.given
+        joints = joints_of(order, given.command_timeout, self.timeouts, self.fallbacks)
+        return MergerSettings(joints, given.straggler_wait, given.fade_in_time)
 
 
-def read_parameters(node: Node, joints: Sequence[str]) -> MergerParameters:
-    given = read_only(
-        node,
-        "joints",
-        Parameter.Type.STRING_ARRAY,
-        "Order of the merged command; left out it is that of the controller's own parameter",
-    )
-    controller = _full_name(
-        node,
-        str(
-            read_only(
-                node,
-                "controller",
-                "",
-                "Group controller of ros2_control that gets the commands on its topic commands; "
-                "it is asked for its joints, and nothing is sent while it is not active",
-            )
-        ),
-    )
-    manager = str(
-        read_only(
-            node,
-            "controller_manager",
-            "",
-            "Manager of that controller; controller_manager in its namespace if empty",
-        )
-    )
-    order = tuple(given or joints)
+def read_parameters(node: Node, joints: Sequence[str]) -> MergerOptions:
+    """Declare the parameters of a merger and return what they say."""
+    given = read(node, MergerParameters)
+    controller = _full_name(node, given.controller)
+    order = given.joints or tuple(joints)
     if controller and order == tuple(joints):  # "-p joints:=..." is for every node of the process
         order = ()
-    parameters = MergerParameters(
+    manager = _full_name(node, given.controller_manager)
+    options = MergerOptions(
         joints=order,
         controller=controller,
-        manager=_full_name(node, manager) or f"{controller.rpartition('/')[0]}/controller_manager",
-        interface=read_choice(
-            node,
-            "command_interface",
-            ARRAY,
-            f"Message of the merged commands: {', '.join(INTERFACES)}",
-            INTERFACES,
-        ),
-        straggler_wait=read_number(
-            node,
-            "straggler_wait",
-            0.5,
-            "How long answers wait for those to the same state, as part of the states' period",
-            (_LEAST_SHARE, 1.0),
-        ),
-        fade_in_time=read_number(
-            node,
-            "fade_in_time",
-            0.1,
-            "A joint that comes back is faded in from its fallback for so long [s]; 0 jumps",
-            (0.0, _LONGEST_FADE_IN),
-        ),
-        timeout=_timeout(node, "command_timeout", "A joint is silent after so long [s]"),
-        timeouts={
-            joint: _timeout(node, name, f"{joint} is silent after so long [s]")
-            for name, joint in _given_below(node, "command_timeouts")
-        },
-        fallbacks={
-            joint: read_number(
-                node,
-                name,
-                0.0,
-                f"Effort of {joint} while it is silent [N m or N]",
-                (-LARGEST_EFFORT, LARGEST_EFFORT),
-            )
-            for name, joint in _given_below(node, "fallback_efforts")
-        },
+        manager=manager or f"{controller.rpartition('/')[0]}/controller_manager",
+        given=given,
+        timeouts=_by_joint(node, "command_timeouts"),
+        fallbacks=_by_joint(node, "fallback_efforts"),
     )
-    _require_usable(parameters)
-    return parameters
+    _require_usable(options)
+    return options
 
 
-def _require_usable(parameters: MergerParameters) -> None:
-    if parameters.controller and parameters.interface != ARRAY:
+def _require_usable(options: MergerOptions) -> None:
+    if options.controller and options.given.command_interface != ARRAY:
         raise SettingError(
-            f"controller is for command_interface {ARRAY}, not for {parameters.interface}"
+            f"controller is for command_interface {ARRAY}, not for "
+            f"{options.given.command_interface}"
         )
-    if parameters.joints:
-        parameters.settings(parameters.joints)
-    elif not parameters.controller:
+    if options.joints:
+        options.settings(options.joints)
+    elif not options.controller:
         raise SettingError(
             "the parameter joints must name the joints in their order, or controller a group "
             "controller that has them; both are empty"
         )
 
 
-def _timeout(node: Node, name: str, description: str) -> float:
-    return read_number(node, name, 0.1, description, (_LEAST_TIMEOUT, LONGEST_TIMEOUT))
-
-
-def _given_below(node: Node, group: str) -> list[tuple[str, str]]:
-    """Return the parameters of a group that were given, with the joints that they are for."""
+def _by_joint(node: Node, group: str) -> dict[str, float]:
+    """Declare the parameters of a group that were given, and return their values by joint."""
+    spec = parameters_of(SilenceParameters)[group]
     prefix = f"{group}."
     names = sorted(name for name in given_parameters(node) if name.startswith(prefix))
-    return [(name, name.removeprefix(prefix)) for name in names]
+    own = [spec._replace(name=name) for name in names]
+    return {
+        each.name.removeprefix(prefix): each.checked(read_one(node, each, each.default))
+        for each in own
+    }
 
 
 def _full_name(node: Node, name: str) -> str:
@@ -260,7 +260,7 @@ class JointCommandMerger(ManagedNode):
         is_claiming = claims_joint(self)
         self._output = GroupOutput(
             self,
-            parameters.interface,
+            parameters.given.command_interface,
             f"{parameters.controller}/commands" if parameters.controller else "",
             sender_of(self, is_claiming),
             bool(parameters.controller),
@@ -371,7 +371,9 @@ class JointCommandMerger(ManagedNode):
             return
         self._health.restart()
         merger = self._stream.begin(settings)
-        self._commanders = Commanders(self, order, merger.counts, self._wanted.timeout)
+        self._commanders = Commanders(
+            self, order, merger.counts, self._wanted.given.command_timeout
+        )
         self.is_starting = False
         self._status.send("merging", joints=list(order))
 
@@ -517,9 +519,9 @@ USAGE = Usage(
     "Merges the commands of joint controllers into one message for all of their joints.",
     "-p joints:=[JOINT, ...]",
     [
-        *("joints", "controller", "controller_manager", "command_interface", "straggler_wait"),
-        *("command_timeout", "command_timeouts.*", "fallback_efforts.*", "fade_in_time"),
-        *("claim", "autostart", "realtime_priority", "cpu_affinity", "status_fd"),
+        *names_of(MergerParameters),
+        *(f"{name}.*" for name in names_of(SilenceParameters)),
+        *names_of(ClaimParameters, ManagedParameters, Scheduling, StatusParameters),
     ],
     ["joint_commands", "/controller_manager/activity (or /diagnostics)"],
     ["~/commands (or joint_command, dynamic_joint_commands, CONTROLLER/commands)", "/diagnostics"],

@@ -5,35 +5,43 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY
+from hpid_ros.base.records import Record, names_of, parameters_of, quantity
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Motion
-from hpid_ros.control.settings import PARAMETERS
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import NEWEST_STATES, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import read_choice, read_only, schedule
-from hpid_ros.nodes.core.status import StatusPipe
-from hpid_ros.nodes.parts.claims import JointClaim, claims_joint
-from hpid_ros.nodes.parts.controller_health import Certification, ControllerHealth, LoopTiming
+from hpid_ros.nodes.core.process import Scheduling, declare, read, schedule
+from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
+from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
+from hpid_ros.nodes.parts.controller_health import (
+    Certification,
+    CertificationParameters,
+    ControllerHealth,
+    LoopTiming,
+)
 from hpid_ros.nodes.parts.controller_settings import (
     ControllerSettings,
+    RobotParameters,
     concern_the_loop,
     model_compensation,
 )
 from hpid_ros.nodes.parts.joint_topics import (
+    JOINT_STATE,
     SINKS,
     STATES,
     Commands,
@@ -41,11 +49,47 @@ from hpid_ros.nodes.parts.joint_topics import (
     Sinks,
     sender_of,
 )
-from hpid_ros.nodes.parts.lifecycle import ControllerStop, ManagedNode
-from hpid_ros.nodes.parts.references import ControllerReferences, Introspection
+from hpid_ros.nodes.parts.lifecycle import (
+    ControllerStop,
+    ManagedNode,
+    ManagedParameters,
+    StopParameters,
+)
+from hpid_ros.nodes.parts.references import (
+    ControllerReferences,
+    Introspection,
+    IntrospectionParameters,
+)
 
 _READINESS_PERIOD = 0.02  # [s]
 _INACTIVE = "the controller is not active"
+
+
+@dataclass(frozen=True)
+class ControllerParameters(Record):
+    """What a controller does with its commands, and waits for."""
+
+    command_interface: str = quantity(
+        f"Message of the commands: {', '.join(SINKS)}", default=JOINT_STATE
+    )
+    wait_for_command_subscribers: int = quantity(
+        "Subscribers that commands must have first", default=1, least=0
+    )
+    wait_for_reference: bool = quantity("Do not start before there is a trajectory", default=False)
+    state_watchdog: bool = quantity(
+        "Give fallback_effort when no new state has come for state_timeout of wall time",
+        default=True,
+    )
+
+
+@dataclass(frozen=True)
+class RelayParameters(Record):
+    """Whether a relay may drive the joint; it may change while the node runs."""
+
+    allow_relay: bool = quantity(
+        "Whether ~/relay is obeyed: a relay drives the joint within its effort limits",
+        default=False,
+    )
 
 
 class JointController(ManagedNode):
@@ -68,17 +112,17 @@ class JointController(ManagedNode):
         self._loop = JointLoop(self._tuning.with_changes())
         self.joint = self._loop.settings.joint
         self._reader = JointReader(self.joint)
-        text = f"Message of the commands: {', '.join(sinks)}"
-        make_sink = sinks[read_choice(self, "command_interface", "joint_state", text, sinks)]
+        asked = read(self, ControllerParameters)
+        if asked.command_interface not in sinks:
+            allowed = ", ".join(sinks)
+            raise SettingError(
+                f"command_interface must be one of {allowed}, not {asked.command_interface!r}"
+            )
+        make_sink = sinks[asked.command_interface]
         self._model = model_compensation(self, self._loop.settings, self._tuning.robot)
-        self._least_subscribers = read_only(
-            self, "wait_for_command_subscribers", 1, "Subscribers that commands must have first"
-        )
-        self._needs_reference = read_only(
-            self, "wait_for_reference", False, "Do not start before there is a trajectory"
-        )
-        text = "Whether ~/relay is obeyed: a relay drives the joint within its effort limits"
-        self.declare_parameter(ALLOW_RELAY, False, ParameterDescriptor(description=text))
+        self._least_subscribers = asked.wait_for_command_subscribers
+        self._needs_reference = asked.wait_for_reference
+        declare(self, parameters_of(RelayParameters).values())
         is_claiming = claims_joint(self)
         sender = sender_of(self, is_claiming)
         self._commands = Commands(make_sink(self, self.joint, sender))
@@ -93,12 +137,7 @@ class JointController(ManagedNode):
         )
         self._watchdog = self._supervised.watchdog
         self._watchdog_timer: Any = None
-        self._has_watchdog: bool = read_only(
-            self,
-            "state_watchdog",
-            True,
-            "Give fallback_effort when no new state has come for state_timeout of wall time",
-        )
+        self._has_watchdog = asked.state_watchdog
         self._stopping = ControllerStop(self, self._supervised, self._commands, self._left)
         self._health = ControllerHealth(
             self,
@@ -356,17 +395,18 @@ class JointController(ManagedNode):
         self._certification.close()
 
 
-OWN_PARAMETERS = (
-    *("command_interface", "claim", "robot_description", "autostart", "stop", "stop_duration"),
-    *("state_watchdog", "certify", "require_certificate", ALLOW_RELAY, "introspection_rate"),
-    *("wait_for_command_subscribers", "wait_for_reference"),
-    *("realtime_priority", "cpu_affinity", "status_fd"),
+RECORDS: tuple[type[Record], ...] = (
+    *(LoopSettings, ControllerParameters, ClaimParameters, RobotParameters, ManagedParameters),
+    *(StopParameters, CertificationParameters, RelayParameters),
+    *(IntrospectionParameters, Scheduling, StatusParameters),
 )
+"""What a controller's parameters are declared by."""
+
 USAGE = Usage(
     "joint_controller",
     "Controls one joint: states in, effort commands out.",
     "-p joint:=JOINT",
-    [*PARAMETERS, *OWN_PARAMETERS],
+    names_of(*RECORDS),
     ["joint_states", "joint_trajectory", "~/setpoint", "~/relay"],
     [
         "joint_commands (or ~/commands, ~/command)",

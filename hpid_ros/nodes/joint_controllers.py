@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from rclpy.parameter import Parameter
 from rclpy.validate_node_name import validate_node_name
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import controller_name
+from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.process import read_only
+from hpid_ros.nodes.core.process import read
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
 from hpid_ros.nodes.parts.joint_topics import JOINT_STATE, SINKS, SharedTopics, Sinks
@@ -21,46 +23,37 @@ MERGED = "merged"
 """Name of the command interface of controllers whose commands are merged in their process."""
 
 
-class Composition(executor.ClosingNode):
-    """Says which joints are controlled in this process, and what they have in common."""
+@dataclass(frozen=True)
+class CompositionParameters(Record):
+    """Which joints are controlled in this process, and what they have in common."""
 
-    def __init__(self) -> None:
-        super().__init__("joint_controllers")
-        self.joints: Sequence[str] = (
-            read_only(
-                self,
-                "joints",
-                Parameter.Type.STRING_ARRAY,
-                "Joints to control; each gets the node JOINT_controller, with its parameters",
-            )
-            or ()
-        )
-        self.merges: bool = read_only(
-            self,
-            "merge",
-            False,
-            "Publish one message for all joints, as joint_command_merger, with its parameters",
-        )
-        self.shares_messages: bool = read_only(
-            self,
-            "share_messages",
-            False,
-            "Read each state once for all joints, which begin together, and answer it with one "
-            "message; whoever counts subscribers or publishers sees one",
-        )
+    joints: tuple[str, ...] | None = quantity(
+        "Joints to control; each gets the node JOINT_controller, with its parameters",
+        default=None,
+    )
+    merge: bool = quantity(
+        "Publish one message for all joints, as joint_command_merger, with its parameters",
+        default=False,
+    )
+    share_messages: bool = quantity(
+        "Read each state once for all joints, which begin together, and answer it with one "
+        "message; whoever counts subscribers or publishers sees one",
+        default=False,
+    )
 
 
 def make_nodes() -> list[executor.ClosingNode]:
     """Make one controller for each joint of the parameter ``joints``, and a merger if wished."""
-    composition = Composition()
-    joints = list(composition.joints)
+    composition = executor.ClosingNode("joint_controllers")
+    asked = read(composition, CompositionParameters)
+    joints = list(asked.joints or ())
     for joint in joints:
         validate_node_name(controller_name(joint))
     if not joints or len(set(joints)) != len(joints):
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
-    merger = JointCommandMerger(joints=joints, is_composed=True) if composition.merges else None
+    merger = JointCommandMerger(joints=joints, is_composed=True) if asked.merge else None
     sinks: Sinks = SINKS
-    shared = SharedTopics(composition) if composition.shares_messages else None
+    shared = SharedTopics(composition) if asked.share_messages else None
     if shared is not None:
         sinks = {**SINKS, JOINT_STATE: shared.sink}
     if merger is not None:
@@ -87,7 +80,7 @@ USAGE = Usage(
     "parameters, topics and services joint_controller --help tells; with merge also a node "
     "joint_command_merger, as its --help tells.",
     "-p joints:=[JOINT, ...] --params-file FILE",
-    ["joints", "merge", "share_messages"],
+    names_of(CompositionParameters),
 )
 
 

@@ -4,34 +4,37 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes import joint_controllers
 from hpid_ros.nodes.bag_recorder import BagRecorder
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.process import read_choice, read_only
+from hpid_ros.nodes.core.process import read
 from hpid_ros.nodes.parts.bridge import RobotBridge
 from hpid_ros.simulation.settings import ENGINES, default_engine
 
 
-class SingleProcess(executor.ClosingNode):
-    """Says whether this process also records."""
+@dataclass(frozen=True)
+class ProcessParameters(Record):
+    """What else runs in this process."""
 
-    def __init__(self) -> None:
-        super().__init__("single_process")
-        self.records: bool = read_only(
-            self, "record", False, "Run bag_recorder in this process too, with its parameters"
-        )
-        text = f"Of the bridge: {', '.join(ENGINES)}"
-        self.engine = read_choice(self, "engine", default_engine(), text, ENGINES)
+    record: bool = quantity(
+        "Run bag_recorder in this process too, with its parameters", default=False
+    )
+    engine: str = quantity(
+        f"Of the bridge: {', '.join(ENGINES)}", default=ENGINES[0], choices=ENGINES
+    )
 
 
 def make_nodes() -> list[executor.ClosingNode]:
     """Make the bridge, one controller for each joint of ``joint_controllers``, and a recorder."""
-    process = SingleProcess()
-    nodes = [process, RobotBridge(process.engine), *joint_controllers.make_nodes()]
+    process = executor.ClosingNode("single_process")
+    asked = read(process, ProcessParameters, engine=default_engine())
+    nodes = [process, RobotBridge(asked.engine), *joint_controllers.make_nodes()]
     # The last to be closed: it keeps what the others still say.
-    return [*nodes, BagRecorder()] if process.records else nodes
+    return [*nodes, BagRecorder()] if asked.record else nodes
 
 
 USAGE = Usage(
@@ -39,7 +42,7 @@ USAGE = Usage(
     "Runs a bridge and joint_controllers in one process, with record also bag_recorder; "
     "their --help tells their parameters, topics and services.",
     "--params-file FILE",
-    ["record", "engine"],
+    names_of(ProcessParameters),
 )
 
 

@@ -10,21 +10,32 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
 from hpid_ros.base.errors import MessageError, SettingError, TrajectoryError
 from hpid_ros.base.files import find_resource
+from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.messages.joint_state import decode_joint_state
 from hpid_ros.motion.references import planned_reference
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import LATCHED, NEWEST_STATES, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import read_only
-from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.references import to_message
 from hpid_ros.robot.description import RobotDescription
+
+
+@dataclass(frozen=True)
+class ReferenceParameters(Record):
+    """What is published."""
+
+    reference_file: str = quantity(
+        "YAML file with a reference section, e.g. an experiment", default=""
+    )
 
 
 class TrajectoryPublisher(executor.ClosingNode):
@@ -35,12 +46,10 @@ class TrajectoryPublisher(executor.ClosingNode):
 
     def __init__(self) -> None:
         super().__init__("trajectory_publisher")
-        path = read_only(
-            self, "reference_file", "", "YAML file with a reference section, e.g. an experiment"
-        )
+        path = read(self, ReferenceParameters).reference_file
         if not path:
             raise SettingError("the parameter reference_file must name a YAML file, it is empty")
-        document = load_document(str(path), TrajectoryError)
+        document = load_document(path, TrajectoryError)
         with document.blaming(TrajectoryError):
             trajectory, _ = planned_reference(
                 document.values,
@@ -89,7 +98,7 @@ USAGE = Usage(
     "trajectory_publisher",
     "Publishes the reference section of a YAML file, latched.",
     "-p reference_file:=FILE",
-    ["reference_file", "status_fd"],
+    names_of(ReferenceParameters, StatusParameters),
     ["joint_states"],
     ["joint_trajectory"],
 )

@@ -18,7 +18,8 @@ import mmap
 import os
 import signal
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -27,7 +28,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.records import ParameterSpec
+from hpid_ros.base.records import (
+    AnyRecord,
+    ParameterSpec,
+    Record,
+    from_parameters,
+    parameters_of,
+    quantity,
+)
 from hpid_ros.base.units import of_slide
 
 
@@ -66,37 +74,46 @@ def declare(
         node.declare_parameter(spec.name, spec.default, shown)
 
 
-def read_only(node: Node, name: str, default: object, description: str) -> Any:
-    """Declare one parameter that is fixed when the node starts, and return its value."""
-    parameter = node.declare_parameter(
-        name, default, ParameterDescriptor(description=description, read_only=True)
+_TYPES = {
+    bool: Parameter.Type.BOOL,
+    int: Parameter.Type.INTEGER,
+    float: Parameter.Type.DOUBLE,
+    str: Parameter.Type.STRING,
+    tuple[str, ...]: Parameter.Type.STRING_ARRAY,
+    tuple[int, ...]: Parameter.Type.INTEGER_ARRAY,
+    tuple[float, ...]: Parameter.Type.DOUBLE_ARRAY,
+}
+
+
+def read(node: Node, kind: type[AnyRecord], **defaults: Any) -> AnyRecord:
+    """Declare a record's parameters, fixed when the node starts, and return what they say."""
+    values = {}
+    for name, spec in parameters_of(kind).items():
+        default = defaults.get(spec.path, spec.default)
+        values[name] = read_one(node, spec, default)
+    return from_parameters(kind, values)
+
+
+def read_one(node: Node, spec: ParameterSpec, default: object = None, note: str = "") -> Any:
+    """Declare one parameter, fixed when the node starts, and return its value; None if not given.
+
+    Without a default its type alone is declared.
+    """
+    shown = descriptor(spec, spec.description + note, read_only=True)
+    start = _TYPES[spec.field.kind] if default is None else default
+    return node.declare_parameter(spec.name, start, shown).value
+
+
+@dataclass(frozen=True)
+class Scheduling(Record):
+    """How the threads of a node's process are scheduled."""
+
+    realtime_priority: int = quantity(
+        "SCHED_FIFO priority, 1 to 99; 0 for none", default=0, least=0, most=99
     )
-    return parameter.value
-
-
-def read_choice(
-    node: Node, name: str, default: str, description: str, choices: Iterable[str]
-) -> str:
-    """Declare one text of a few, fixed when the node starts, and return it."""
-    allowed = ", ".join(choices)
-    descriptor = ParameterDescriptor(
-        description=description, read_only=True, additional_constraints=f"one of: {allowed}"
+    cpu_affinity: tuple[int, ...] | None = quantity(
+        "CPUs to run on; all if left out", default=None
     )
-    value = str(node.declare_parameter(name, default, descriptor).value)
-    if value not in allowed.split(", "):
-        raise SettingError(f"{name} must be one of {allowed}, not {value!r}")
-    return value
-
-
-def read_number(
-    node: Node, name: str, default: float, description: str, limits: tuple[float, float]
-) -> float:
-    """Declare one number that is fixed when the node starts, and return its value."""
-    value = float(read_only(node, name, default, description))
-    low, high = limits
-    if not low <= value <= high:
-        raise SettingError(f"{name} must lie in [{low:g}, {high:g}], not {value}")
-    return value
 
 
 ORDINARY = "ordinary"
@@ -109,27 +126,20 @@ def schedule(node: Node) -> str:
     there: at the end of a node's construction. Children that a node starts do not inherit the
     priority. A priority that the system refuses is one line in the log, no end of the process.
     """
-    priority = int(
-        read_only(node, "realtime_priority", 0, "SCHED_FIFO priority, 1 to 99; 0 for none")
-    )
-    if not 0 <= priority <= 99:
-        raise SettingError(f"realtime_priority must lie in [0, 99], not {priority}")
-    cpus = read_only(
-        node, "cpu_affinity", Parameter.Type.INTEGER_ARRAY, "CPUs to run on; all if left out"
-    )
-    if cpus:
-        _pin([int(cpu) for cpu in cpus])
-    return _prioritise(node, priority) if priority else ORDINARY
+    asked = read(node, Scheduling)
+    if asked.cpu_affinity:
+        _pin(asked.cpu_affinity)
+    return _prioritise(node, asked.realtime_priority) if asked.realtime_priority else ORDINARY
 
 
 def _threads() -> list[int]:
     return [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
 
 
-def _pin(cpus: list[int]) -> None:
+def _pin(cpus: Sequence[int]) -> None:
     allowed = sorted(os.sched_getaffinity(0))
     if not set(cpus) <= set(allowed):
-        raise SettingError(f"cpu_affinity must be among the CPUs {allowed}, not {cpus}")
+        raise SettingError(f"cpu_affinity must be among the CPUs {allowed}, not {list(cpus)}")
     for thread in _threads():
         os.sched_setaffinity(thread, cpus)
 

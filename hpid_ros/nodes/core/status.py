@@ -14,13 +14,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.text import bounded
 from hpid_ros.nodes.core.middleware import RARE
-from hpid_ros.nodes.core.process import read_only
+from hpid_ros.nodes.core.process import read
 
 
 def _fifos() -> frozenset[int]:
@@ -85,13 +87,20 @@ def flush_events(within: float) -> None:
         pipe.flush(within)
 
 
+@dataclass(frozen=True)
+class StatusParameters(Record):
+    """Where a parent process reads."""
+
+    status_fd: int = quantity(
+        "File descriptor for one JSON line per event; -1 for none", default=-1, least=-1
+    )
+
+
 class StatusPipe:
     """Writes events for a parent process, if there is one, and never waits for a reader."""
 
     def __init__(self, node: Node) -> None:
-        fd = read_only(
-            node, "status_fd", -1, "File descriptor for one JSON line per event; -1 for none"
-        )
+        fd = read(node, StatusParameters).status_fd
         # The parameters of a node that had a parent may have been dumped and given to this one.
         self._pipe = None
         if fd in _INHERITED:

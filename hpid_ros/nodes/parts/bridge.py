@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import ExperimentError, MessageError, SettingError
 from hpid_ros.base.files import find_resource
+from hpid_ros.base.records import Record, names_of, parameters_of, quantity
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.messages.joint_state import EffortReader, JointStateTemplate
@@ -27,114 +27,112 @@ from hpid_ros.nodes.core.middleware import (
     steady_timer,
     subscribe_raw,
 )
-from hpid_ros.nodes.core.process import read_choice, read_number, read_only, schedule
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.core.process import (
+    Scheduling,
+    read,
+    read_one,
+    schedule,
+)
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.bridge_commanders import Commanders, HeldCommands
 from hpid_ros.nodes.parts.bridge_services import (
     BridgeReports,
     BridgeServices,
     BridgeTiming,
+    ReportParameters,
+    WrenchParameters,
     offer_standard_services,
 )
+from hpid_ros.robot.amendments import RobotSection
 from hpid_ros.simulation.lockstep import AnswerCounts, Barrier
 from hpid_ros.simulation.world import World
-from hpid_ros.simulation.world_file import WorldFile, world_of
+from hpid_ros.simulation.world_file import ControlSection, PhysicsSection, WorldFile, world_of
 
-MODES = ("lockstep", "realtime")
-
-_RESTART_TAKES = 0.2  # [s], at least: the place of one that was killed stays free for so long
-_POSITIVE = (1e-6, 1e6)
+_RESTART_TAKES = 0.2  # [s], at least: nobody waits for the place of one that was killed
 _DEFAULT_ROBOT = "urdf/mobile_manipulator.urdf"
-OVER_THE_FILE = {
-    "joints": (
-        *("robot", "driven", Parameter.Type.STRING_ARRAY),
-        "Driven joints; all moving ones if left out",
-    ),
-    "fixed_base": (
-        *("robot", "fixed_base", Parameter.Type.BOOL),
-        "Hold the robot's root, without a ground",
-    ),
-    "payload_mass": (
-        *("robot", "payload", Parameter.Type.DOUBLE),
-        "Mass in the gripper [kg]",
-    ),
-    "control_rate": (
-        *("control", "rate", Parameter.Type.DOUBLE),
-        "States per simulated second [Hz]",
-    ),
-    "answer_timeout": (
-        *("control", "answer_timeout", Parameter.Type.DOUBLE),
-        "Wall time that lockstep waits for one answer [s]",
-    ),
-    "physics_steps": (
-        *("simulation", "physics_steps", Parameter.Type.INTEGER),
-        "Physics steps in one control period",
-    ),
-    "seed": (
-        *("", "seed", Parameter.Type.INTEGER),
-        "Of where each encoder's counts begin, of noise, of homing",
-    ),
+OVER_THE_FILE: Mapping[str, tuple[str, type[Record], str]] = {
+    "joints": ("robot", RobotSection, "driven"),
+    "fixed_base": ("robot", RobotSection, "fixed_base"),
+    "payload_mass": ("robot", RobotSection, "payload"),
+    "control_rate": ("control", ControlSection, "rate"),
+    "answer_timeout": ("control", ControlSection, "answer_timeout"),
+    "physics_steps": ("simulation", PhysicsSection, "physics_steps"),
 }
-"""Parameters that are laid over the file: its section (none: the root), key, type, meaning."""
+"""Parameters that are laid over the file: its section, and what declares them."""
+
+
+@dataclass(frozen=True)
+class WorldFileParameters(Record):
+    """The file of a world."""
+
+    world_file: str = quantity(
+        "YAML file of the world, for instance an experiment; what is given besides counts",
+        default="",
+    )
+
+
+@dataclass(frozen=True)
+class WorldParameters(Record):
+    """What holds in place of what the file says."""
+
+    robot_description: str = quantity(
+        "URDF of the robot: its XML text, a path, or a path in this package's share folder; "
+        "that of world_file if empty",
+        default="",
+    )
+    seed: int | None = quantity(
+        "Of where each encoder's counts begin, of noise, of homing; the file's, or 0, if left out",
+        default=None,
+        least=0,
+    )
+    initial_positions: tuple[float, ...] | None = quantity(
+        "Position of each driven joint at the start [rad]; zero, or the file's, if left out",
+        default=None,
+    )
+    encoder_counts: tuple[int, ...] | None = quantity(
+        "Encoder counts per revolution of each driven joint; 0 measures exactly", default=None
+    )
+    gui: bool = quantity("Show the engine's window", default=False)
 
 
 def read_world_file(node: Node, engine: str) -> WorldFile:
-    file = str(
-        read_only(
-            node,
-            "world_file",
-            "",
-            "YAML file of the world, for instance an experiment; what is given besides counts",
-        )
-    )
+    """Declare the parameters of a world and return what they say."""
+    file = read(node, WorldFileParameters).world_file
+    asked = read(node, WorldParameters, robot_description="" if file else _DEFAULT_ROBOT)
+    robot = asked.robot_description
     document = load_document(find_resource(file), ExperimentError) if file else None
-    robot = str(
-        read_only(
-            node,
-            "robot_description",
-            "" if file else _DEFAULT_ROBOT,
-            "URDF of the robot: its XML text, a path, or a path in this package's share folder; "
-            "that of world_file if empty",
-        )
-    )
     if not (file or robot.strip()):
         raise SettingError("robot_description must be a URDF or name one, it is empty")
-    values = _laid_over(node, {} if document is None else document.values, robot, engine)
-    positions = read_only(
-        node,
-        "initial_positions",
-        Parameter.Type.DOUBLE_ARRAY,
-        "Position of each driven joint at the start [rad]; zero, or the file's, if left out",
-    )
-    counts = read_only(
-        node,
-        "encoder_counts",
-        Parameter.Type.INTEGER_ARRAY,
-        "Encoder counts per revolution of each driven joint; 0 measures exactly",
-    )
+    values = {} if document is None else document.values
+    values = _laid_over(node, values, robot, asked.seed, engine)
     found = world_of(values, document)
     world, joints = found.world, found.world.joints
-    if positions:
-        along = _along(joints, "initial_positions", positions)
+    if asked.initial_positions:
+        along = _along(joints, "initial_positions", asked.initial_positions)
         world = replace(world, initial_positions=dict(zip(joints, along, strict=True)))
-    if counts:
-        world = replace(world, encoder_counts=_along(joints, "encoder_counts", counts))
-    return found._replace(world=replace(world, gui=_gui(node)))
+    if asked.encoder_counts:
+        world = replace(
+            world, encoder_counts=_along(joints, "encoder_counts", asked.encoder_counts)
+        )
+    # Without a display Bullet would end the process without a word.
+    if asked.gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise SettingError("gui needs a display, and the variable DISPLAY names none")
+    return found._replace(world=replace(world, gui=asked.gui))
 
 
-def _laid_over(node: Node, values: Any, robot: str, engine: str) -> Any:
+def _laid_over(node: Node, values: Any, robot: str, seed: int | None, engine: str) -> Any:
     """Return a document with the parameters that were given laid over it."""
     if not isinstance(values, dict):
         return values
-    values = dict(values)
+    values = dict(values) | ({} if seed is None else {"seed": seed})
     given: dict[str, dict[str, Any]] = {"simulation": {"engine": engine}}
     given |= {"robot": {"description": robot}} if robot else {}
-    for name, (section, key, kind, meaning) in OVER_THE_FILE.items():
-        value = read_only(node, name, kind, f"{meaning}; the file's, or its default, if left out")
+    for name, (section, record, key) in OVER_THE_FILE.items():
+        spec = parameters_of(record)[key]._replace(name=name)
+        value = read_one(node, spec, note="; the file's, or its default, if left out")
         if value is not None:
-            value = list(value) if kind == Parameter.Type.STRING_ARRAY else value
+            value = list(value) if name == "joints" else value
             given.setdefault(section, {})[key] = value
-    values |= given.pop("", {})
     for section, entries in given.items():
         own = values.get(section, {})
         if isinstance(own, dict):
@@ -152,64 +150,56 @@ def _along(joints: Sequence[str], name: str, values: Sequence[Any]) -> tuple[Any
     return tuple(values)
 
 
-def _gui(node: Node) -> bool:
-    wanted = bool(read_only(node, "gui", False, "Show the engine's window"))
-    # Without a display Bullet would end the process without a word.
-    if wanted and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise SettingError("gui needs a display, and the variable DISPLAY names none")
-    return wanted
+@dataclass(frozen=True)
+class PaceParameters(Record):
+    """When a state is published."""
+
+    mode: Literal["lockstep", "realtime"] = quantity(
+        "Pace of the states: lockstep, realtime", default="lockstep"
+    )
+    duration: float = quantity(
+        "Stamp of the last state [s]; 0 runs for ever", default=0.0, least=0.0, most=1e9
+    )
+    exit_when_done: bool = quantity("End the process after the last state", default=True)
+    real_time_factor: float = quantity(
+        "Simulated time per wall time in realtime", default=1.0, least=1e-6, most=1e6
+    )
+    command_timeout: float = quantity(
+        "Simulated time for which a command stands in realtime",
+        "s",
+        default=0.1,
+        least=1e-6,
+        most=1e6,
+    )
+
+    @property
+    def is_lockstep(self) -> bool:
+        """Whether every state waits for its answers; otherwise the wall clock paces them."""
+        return self.mode == "lockstep"
+
+    @property
+    def end_ns(self) -> int | None:
+        """Stamp of the last state in [ns]; None runs for ever."""
+        return round(self.duration * NANOSECONDS) or None
 
 
 @dataclass(frozen=True)
-class Pace:
-    """When a state is published."""
+class WaitingParameters(Record):
+    """What the first state waits for."""
 
-    is_lockstep: bool  # every state waits for its answers; otherwise the wall clock paces them
-    end_ns: int | None  # [ns] stamp of the last state; None runs for ever
-    exits: bool  # whether the process ends after the last state
-    real_time_factor: float  # simulated time per wall time in realtime
-    answer_timeout: float  # [s] wall time that lockstep waits for one answer
-    command_timeout_ns: int  # [ns] simulated time for which a command stands in realtime
-    subscribers: int  # subscribers that the states must have before the first one
-    publishers: int  # publishers that the commands must have before the first state
-
-    @property
-    def command_patience(self) -> float:
-        """Silence of a joint's publisher after which another one may command it, in [s]."""
-        if self.is_lockstep:
-            return min(self.answer_timeout, _RESTART_TAKES)
-        return self.command_timeout_ns / NANOSECONDS / self.real_time_factor
-
-
-def read_pace(node: Node, joints: int, answer_timeout: float) -> Pace:
-    mode = read_choice(node, "mode", "lockstep", f"Pace of the states: {', '.join(MODES)}", MODES)
-    everyone = joints if mode == "lockstep" else 0
-
-    def positive(name: str, default: float, description: str) -> float:
-        return read_number(node, name, default, description, _POSITIVE)
-
-    duration = read_number(
-        node, "duration", 0.0, "Stamp of the last state [s]; 0 runs for ever", (0.0, 1e9)
+    wait_for_subscribers: int = quantity(
+        "Subscribers that states must have first", default=0, least=0
     )
-    timeout = positive(
-        "command_timeout", 0.1, "Simulated time for which a command stands in realtime [s]"
+    wait_for_publishers: int = quantity(
+        "Publishers that commands must have first", default=0, least=0
     )
-    return Pace(
-        is_lockstep=mode == "lockstep",
-        end_ns=round(duration * NANOSECONDS) if duration > 0.0 else None,
-        exits=read_only(node, "exit_when_done", True, "End the process after the last state"),
-        real_time_factor=positive(
-            "real_time_factor", 1.0, "Simulated time per wall time in realtime"
-        ),
-        answer_timeout=answer_timeout,
-        command_timeout_ns=round(timeout * NANOSECONDS),
-        subscribers=read_only(
-            node, "wait_for_subscribers", everyone, "Subscribers that states must have first"
-        ),
-        publishers=read_only(
-            node, "wait_for_publishers", everyone, "Publishers that commands must have first"
-        ),
-    )
+
+
+@dataclass(frozen=True)
+class FrameParameters(Record):
+    """How frames are called."""
+
+    frame_prefix: str = quantity("Before each frame's name, e.g. of two robots", default="")
 
 
 _READINESS_PERIOD = 0.01  # [s]
@@ -231,7 +221,15 @@ class RobotBridge(executor.ClosingNode):
         self.require_given("world_file", "robot_description")
         found = read_world_file(self, engine)
         settings = found.world
-        self._pace = pace = read_pace(self, len(settings.joints), found.control.answer_timeout)
+        self._pace = pace = read(self, PaceParameters)
+        self._answer_timeout = found.control.answer_timeout
+        everyone = len(settings.joints) if pace.is_lockstep else 0
+        self._waiting = read(
+            self,
+            WaitingParameters,
+            wait_for_subscribers=everyone,
+            wait_for_publishers=everyone,
+        )
         self._status = StatusPipe(self)
         self._world = World(settings)
         driven = self._world.description.select(settings.joints)
@@ -239,11 +237,15 @@ class RobotBridge(executor.ClosingNode):
         self._barrier: Barrier | HeldCommands = (
             Barrier(settings.joints, limits)
             if pace.is_lockstep
-            else HeldCommands(settings.joints, pace.command_timeout_ns, limits)
+            else HeldCommands(settings.joints, round(pace.command_timeout * NANOSECONDS), limits)
         )
-        self._commanders = Commanders(
-            self, settings.joints, self._barrier.counts, pace.command_patience
+        # The silence of a joint's publisher after which another one may command it, in [s].
+        patience = (
+            min(self._answer_timeout, _RESTART_TAKES)
+            if pace.is_lockstep
+            else pace.command_timeout / pace.real_time_factor
         )
+        self._commanders = Commanders(self, settings.joints, self._barrier.counts, patience)
         self._reader = EffortReader()
         self._template = JointStateTemplate(
             settings.joints,
@@ -255,9 +257,7 @@ class RobotBridge(executor.ClosingNode):
             JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
         )
         subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
-        prefix = str(
-            read_only(self, "frame_prefix", "", "Before each frame's name, e.g. of two robots")
-        )
+        prefix = read(self, FrameParameters).frame_prefix
         self._reports = BridgeReports(self, self._world, prefix, pace.end_ns)
         self._simulation = BridgeServices(self, self._world, prefix, self._reset, self._resume)
         offer_standard_services(self, self._simulation, self._world)
@@ -277,14 +277,18 @@ class RobotBridge(executor.ClosingNode):
     def _start_when_ready(self) -> None:
         listeners = self._states.get_subscription_count()
         commanders = self.count_publishers("joint_commands")
-        if listeners < self._pace.subscribers or commanders < self._pace.publishers:
+        if (
+            listeners < self._waiting.wait_for_subscribers
+            or commanders < self._waiting.wait_for_publishers
+        ):
             now_ns = time.perf_counter_ns()
             if now_ns - self._progressed_ns > NANOSECONDS:
                 self._progressed_ns = now_ns
                 self._status.send("waiting", listeners=listeners, commanders=commanders)
                 self.get_logger().info(
-                    f"waiting: {listeners} of {self._pace.subscribers} subscribers of the states, "
-                    f"{commanders} of {self._pace.publishers} publishers of commands",
+                    f"waiting: {listeners} of {self._waiting.wait_for_subscribers} subscribers of "
+                    f"the states, {commanders} of {self._waiting.wait_for_publishers} publishers "
+                    "of commands",
                     throttle_duration_sec=5.0,
                 )
             return
@@ -292,7 +296,7 @@ class RobotBridge(executor.ClosingNode):
         self._is_started = True
         self._status.send("started")
         if self._pace.is_lockstep:
-            steady_timer(self, self._pace.answer_timeout / _LOOKS, self._watch)
+            steady_timer(self, self._answer_timeout / _LOOKS, self._watch)
             self._publish_state()
         else:
             period = self._world.settings.control_period_ns / NANOSECONDS
@@ -352,7 +356,7 @@ class RobotBridge(executor.ClosingNode):
     def _watch(self) -> None:
         """Ask again when an answer is late, and go on without it when it is too late."""
         waited = (time.perf_counter_ns() - self._timing.published_ns) / NANOSECONDS
-        timeout = self._pace.answer_timeout
+        timeout = self._answer_timeout
         if self._barrier.is_abandoned:  # somebody may come back, and needs a state to answer
             self._states.publish(self._last_state)
         if not self._barrier.missing or self._is_done:
@@ -375,8 +379,8 @@ class RobotBridge(executor.ClosingNode):
 
     def _finish(self) -> None:
         self._is_done = True
-        self._send_summary("finished")
-        if self._pace.exits:
+        self._tell_end("finished")
+        if self._pace.exit_when_done:
             self.request_stop()
 
     def _send_summary(self, event: str) -> None:
@@ -436,19 +440,19 @@ def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
     }
 
 
+RECORDS: tuple[type[Record], ...] = (
+    *(WorldFileParameters, WorldParameters, PaceParameters, WaitingParameters),
+    *(ReportParameters, FrameParameters, WrenchParameters, Scheduling, StatusParameters),
+)
+"""What a bridge's parameters are declared by, but for those laid over the file."""
+
+
 def usage(name: str, engine: str) -> Usage:
     return Usage(
         name,
         f"Simulates a robot in {engine} behind the topics of a real one.",
         "-p world_file:=FILE",
-        [
-            *("world_file", "robot_description", "joints", "mode", "real_time_factor"),
-            *("control_rate", "physics_steps", "initial_positions", "encoder_counts", "seed"),
-            *("fixed_base", "payload_mass", "gui", "duration", "exit_when_done", "answer_timeout"),
-            *("command_timeout", "wait_for_subscribers", "wait_for_publishers", "report_rate"),
-            *("ee_link", "frame_prefix", "wrench_duration"),
-            *("realtime_priority", "cpu_affinity", "status_fd"),
-        ],
+        [*OVER_THE_FILE, *names_of(*RECORDS)],
         ["joint_commands", "~/wrench"],
         [
             *("joint_states", "clock", "odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),

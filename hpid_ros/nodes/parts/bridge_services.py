@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,14 +17,24 @@ from std_srvs.srv import SetBool, Trigger
 
 from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import HpidError
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages import reports as wire
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
-from hpid_ros.nodes.core.process import read_number, read_only
+from hpid_ros.nodes.core.process import read
 from hpid_ros.simulation.gripper import GRASPED, LOST, MISSED, GripEvent
 from hpid_ros.simulation.reports import CLOCK, KINDS, REPORT_RATE, Reports, grip_words
 from hpid_ros.simulation.world import World
+
+
+@dataclass(frozen=True)
+class WrenchParameters(Record):
+    """How a person pushes."""
+
+    wrench_duration: float = quantity(
+        "How long one message on ~/wrench pushes", "s", default=0.1, least=1e-6, most=3600.0
+    )
 
 
 class BridgeServices:
@@ -44,13 +55,7 @@ class BridgeServices:
         self._resume = resume
         self.is_paused = False  # time stands still but for single steps
         self._steps = 0
-        duration = read_number(
-            node,
-            "wrench_duration",
-            0.1,
-            "How long one message on ~/wrench pushes [s]",
-            (1e-6, 3600.0),
-        )
+        duration = read(node, WrenchParameters).wrench_duration
         self._wrench_ns = round(duration * NANOSECONDS)
         node.create_service(SetBool, "~/pause", self._on_pause)
         node.create_service(Trigger, "~/step", self._on_step)
@@ -215,6 +220,19 @@ _MESSAGES: dict[str, Any] = {
 }
 
 
+@dataclass(frozen=True)
+class ReportParameters(Record):
+    """What is published of base and task."""
+
+    report_rate: float = quantity(
+        "Rate of clock, odom, base_pose_ground_truth, wheel_slip and ee_pose [Hz]; 0 is off",
+        default=REPORT_RATE,
+        least=0.0,
+        most=1e6,
+    )
+    ee_link: str = quantity("Link whose pose is ee_pose; the last one if empty", default="")
+
+
 class BridgeReports:
     """Publishes reports of base and task, at a rate of simulated time.
 
@@ -224,16 +242,11 @@ class BridgeReports:
 
     def __init__(self, node: Node, world: World, prefix: str, end_ns: int | None = None) -> None:
         self._node, self._world = node, world
-        rate = read_number(
-            node,
-            "report_rate",
-            REPORT_RATE,
-            "Rate of clock, odom, base_pose_ground_truth, wheel_slip and ee_pose [Hz]; 0 is off",
-            (0.0, 1e6),
+        asked = read(node, ReportParameters)
+        link = world.description.link(asked.ee_link or world.description.last_link)
+        self._reports = Reports(
+            world, link, asked.report_rate, end_ns, prefix, self._on_grip_event
         )
-        link = read_only(node, "ee_link", "", "Link whose pose is ee_pose; the last one if empty")
-        link = world.description.link(str(link) or world.description.last_link)
-        self._reports = Reports(world, link, rate, end_ns, prefix, self._on_grip_event)
         self._publishers = {
             topic: node.create_publisher(
                 _MESSAGES[KINDS[topic]], topic, RARE if topic == CLOCK else OFFERED

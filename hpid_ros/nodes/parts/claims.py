@@ -23,6 +23,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
+from typing import Literal
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
@@ -30,9 +31,10 @@ from rclpy.timer import Timer
 
 from hpid_ros.base.errors import ClaimError
 from hpid_ros.base.names import claim_topic
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, has_shared_memory_alone, steady_timer
-from hpid_ros.nodes.core.process import read_choice
+from hpid_ros.nodes.core.process import read
 
 _PREFIX = "hpid_ros/"
 _LONGEST_NAME = 107  # bytes of an abstract name, by the kernel
@@ -169,8 +171,6 @@ class ReceivedClaims:
         return None
 
 
-SCOPES = ("joint", "none")
-
 _BEAT = 0.25  # [s]; six of them are a lease
 _OVERDUE = 0.75  # [s] since the last message, after which the supervisor's thread publishes
 _LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
@@ -179,17 +179,21 @@ _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while 
 _STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win, or none
 
 
-def claims_joint(node: Node) -> bool:
-    """Declare the parameter ``claim`` and return whether a joint is claimed."""
-    scope = read_choice(
-        node,
-        "claim",
-        "joint",
+@dataclass(frozen=True)
+class ClaimParameters(Record):
+    """What a controller has for itself alone."""
+
+    scope: Literal["joint", "none"] = quantity(
         "What an active controller claims for itself alone: joint, or none: then several may "
         "command one joint, and nobody says so but the bridge",
-        SCOPES,
+        default="joint",
+        key="claim",
     )
-    return scope == "joint"
+
+
+def claims_joint(node: Node) -> bool:
+    """Declare the parameter ``claim`` and tell whether it asks for a joint of the node's own."""
+    return read(node, ClaimParameters).scope == "joint"
 
 
 class JointClaim:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
@@ -9,12 +10,13 @@ from rclpy.node import Node
 from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import GainError
 from hpid_ros.base.names import ALLOW_RELAY
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import of_slide
 from hpid_ros.control.joint_loop import JointLoop, LoopState
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.nodes.core.middleware import steady_timer
-from hpid_ros.nodes.core.process import read_only
+from hpid_ros.nodes.core.process import read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics
 from hpid_ros.nodes.parts.controller_settings import ModelCompensation
 from hpid_ros.stability.certifier import Certifier
@@ -22,16 +24,24 @@ from hpid_ros.stability.certifier import Certifier
 _POLL_PERIOD = 0.1  # [s]
 
 
+@dataclass(frozen=True)
+class CertificationParameters(Record):
+    """What is made of a degree's certificate."""
+
+    certify: bool = quantity(
+        "Find out beside the loop whether its degree is certified", default=True
+    )
+    require_certificate: bool = quantity(
+        "Refuse degrees that are not certified stable", default=False
+    )
+
+
 class Certification:
     """Warns of a degree that is not certified, or refuses it."""
 
     def __init__(self, node: Node, settings: LoopSettings) -> None:
-        self._is_on = read_only(
-            node, "certify", True, "Find out beside the loop whether its degree is certified"
-        )
-        self._is_required = read_only(
-            node, "require_certificate", False, "Refuse degrees that are not certified stable"
-        )
+        asked = read(node, CertificationParameters)
+        self._is_on, self._is_required = asked.certify, asked.require_certificate
         self._certifier = Certifier()
         self._settings = settings
         if self._is_required:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rcl_interfaces.msg import SetParametersResult
@@ -11,6 +12,7 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.base.files import find_resource
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.limited_law import ModelTerm
@@ -22,22 +24,19 @@ from hpid_ros.control.settings import (
     Value,
 )
 from hpid_ros.messages.joint_state import JointSample, RobotReader
-from hpid_ros.nodes.core.process import declare, read_only
+from hpid_ros.nodes.core.process import declare, read
 from hpid_ros.robot.description import RobotDescription
 
 if TYPE_CHECKING:
     from hpid_ros.robot.compensation import LoopModel
 
 
-def robot_source(node: Node) -> str:
-    """Declare ``robot_description`` and return it: XML text or a path, empty for none."""
-    return str(
-        read_only(
-            node,
-            "robot_description",
-            "",
-            "URDF of the robot, XML text or path: limits effort, position and velocity",
-        )
+@dataclass(frozen=True)
+class RobotParameters(Record):
+    """The robot whose joint is controlled."""
+
+    robot_description: str = quantity(
+        "URDF of the robot, XML text or path: limits effort, position and velocity", default=""
     )
 
 
@@ -58,7 +57,7 @@ class ControllerSettings:
     def __init__(self, node: Node) -> None:
         self._node = node
         declare(node, [PARAMETERS["joint"]], read_only=["joint"])
-        self.robot = robot_source(node)
+        self.robot = read(node, RobotParameters).robot_description
         self._limits = robot_limits(node, self.robot)
         self.is_slide = self._limits.is_slide
         specs = [spec for name, spec in PARAMETERS.items() if name != "joint"]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -12,12 +13,20 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 
 from hpid_ros.base.errors import ClaimError
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import steady_timer
-from hpid_ros.nodes.core.process import read_choice, read_number, read_only
+from hpid_ros.nodes.core.process import read
 from hpid_ros.nodes.core.rclpy_internals import destroy_lifecycle, lifecycle_state
 from hpid_ros.nodes.parts.joint_topics import Commands
+
+
+@dataclass(frozen=True)
+class ManagedParameters(Record):
+    """How a managed node starts."""
+
+    autostart: bool = quantity("Configure and activate when the node starts", default=True)
 
 
 class ManagedNode(LifecycleNode, executor.ClosingNode):
@@ -32,9 +41,7 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
         super().__init__(name, **options)
         self.is_active = False
         self._failure: Exception | None = None
-        self._autostart = bool(
-            read_only(self, "autostart", True, "Configure and activate when the node starts")
-        )
+        self._autostart = read(self, ManagedParameters).autostart
         self.is_starting = self._autostart
         self.guard(self.refuse)
 
@@ -116,10 +123,20 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
         return TransitionCallbackReturn.SUCCESS
 
 
-STOPS = ("zero", "damping")
-
 _LAST_COMMAND_WITHIN = Duration(seconds=0.5)
 _LONGEST = 4.0  # [s]; launch kills what has not ended 5 s after it was asked to
+
+
+@dataclass(frozen=True)
+class StopParameters(Record):
+    """How a joint is left."""
+
+    kind: Literal["zero", "damping"] = quantity(
+        "How the joint is left: zero, damping for stop_duration", default="zero", key="stop"
+    )
+    duration: float = quantity(
+        "Of the damping stop", "s", default=0.5, least=0.0, most=_LONGEST, key="stop_duration"
+    )
 
 
 class ControllerStop:
@@ -128,12 +145,8 @@ class ControllerStop:
     def __init__(
         self, node: Node, joint: SupervisedLoop, commands: Commands, finish: Callable[[], None]
     ) -> None:
-        text = f"How the joint is left: {', '.join(STOPS)} for stop_duration"
-        kind = read_choice(node, "stop", "zero", text, STOPS)
-        duration = read_number(
-            node, "stop_duration", 0.5, "Of the damping stop [s]", (0.0, _LONGEST)
-        )
-        self._duration = duration if kind == "damping" else 0.0
+        stop = read(node, StopParameters)
+        self._duration = stop.duration if stop.kind == "damping" else 0.0
         self._node, self._joint, self._commands, self._finish = node, joint, commands, finish
         self._timer: Timer | None = None
         self._ended: Future | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
@@ -16,6 +17,7 @@ from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from hpid_ros.base.errors import HpidError, MessageError
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
@@ -36,7 +38,7 @@ from hpid_ros.motion.joint_trajectory import (
 )
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable
-from hpid_ros.nodes.core.process import read_number
+from hpid_ros.nodes.core.process import read
 
 
 def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:
@@ -245,17 +247,23 @@ class ControllerReferences:
             self._refuse(str(error))
 
 
+@dataclass(frozen=True)
+class IntrospectionParameters(Record):
+    """What is published for plots."""
+
+    introspection_rate: float = quantity(
+        "Rate of ~/reference, ~/terms and ~/estimate [Hz]; 0 is off, negative is every sample",
+        default=20.0,
+        least=-1e6,
+        most=1e6,
+    )
+
+
 class Introspection:
     """Publishes the reference, the law's terms and the observer's estimate at a limited rate."""
 
     def __init__(self, node: Node, joint: str, has_model: bool = False) -> None:
-        rate = read_number(
-            node,
-            "introspection_rate",
-            20.0,
-            "Rate of ~/reference, ~/terms and ~/estimate [Hz]; 0 is off, negative is every sample",
-            (-1e6, 1e6),
-        )
+        rate = read(node, IntrospectionParameters).introspection_rate
         self._period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0
         self._is_on = rate != 0.0
         self._has_model = has_model
