@@ -101,6 +101,7 @@ def read_one(node: Node, spec: ParameterSpec, default: object = None, note: str 
     """
     shown = descriptor(spec, spec.description + note, read_only=True)
     start = _TYPES[spec.field.kind] if default is None else default
+    start = list(start) if isinstance(start, tuple) else start
     return node.declare_parameter(spec.name, start, shown).value
 
 
