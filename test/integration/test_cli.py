@@ -6,10 +6,8 @@ import subprocess
 import sys
 
 import pytest
-import yaml
-from harness.engines import needs_bullet, shipped
+from harness.engines import needs_bullet
 
-from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
 from hpid_ros.cli.main import COMMANDS, main
 from hpid_ros.experiment.description import load_experiment
@@ -158,13 +156,6 @@ def test_usage_errors_end_with_two():
         with pytest.raises(SystemExit) as end:
             main(arguments)
         assert end.value.code == BAD_INPUT
-
-
-@pytest.mark.parametrize(
-    "file", shipped(sorted((share_folder() / "config" / "experiments").glob("*.yaml")))
-)
-def test_every_shipped_experiment_is_valid(file):
-    assert yaml.safe_load(file.read_text())["name"] == load_experiment(file).name
 
 
 def test_a_reader_that_has_read_enough_is_no_error():
