@@ -208,7 +208,6 @@ _INERTIA_DIGITS, _GAIN_DIGITS = 3, 6
 class DesignedGains:
     """One joint's gains by a rule."""
 
-    joint: str
     inertia: float  # [kg m^2] what one unit of effort accelerates, to three digits
     gains: Gains  # the rule's gains on exactly that inertia, to six digits
     margins: RobustnessMargins | None  # of the loop with delay and velocity filter
@@ -260,12 +259,15 @@ def _designed(
         interval = found.lower, found.upper
         if settings.law == "hpid" and not found.contains(settings.mu):
             reason = reason or f"mu = {settings.mu:g} is outside the certified interval"
-    return DesignedGains(settings.joint, inertia[0], settings.gains, margins, interval, reason)
+    return DesignedGains(inertia[0], settings.gains, margins, interval, reason)
 
 
 def yaml_text(designs: Mapping[str, DesignedGains], head: str) -> str:
     """Return the gains as ``controllers.joints`` of an experiment file, verdicts as comments."""
-    rows = {joint: _row(each) for joint, each in designs.items()}
+    rows = {}
+    for joint, each in designs.items():
+        gains = ", ".join(f"{name}: {number_text(getattr(each.gains, name))}" for name in "pid")
+        rows[joint] = f"{{gains: {{{gains}}}, inertia: {number_text(each.inertia)}}}"
     width = max(len(joint) + len(row) for joint, row in rows.items())
     lines = [f"# {head}", "controllers:", "  joints:"]
     for joint, row in rows.items():
@@ -288,11 +290,9 @@ def held_by_friction(joint: str, p: float, friction: float) -> str:
 
 def verdict_text(design: DesignedGains) -> str:
     """Return in a few words what is known of a joint's gains."""
-    if design.interval is None:
-        certified = "not certified"
-    else:
-        certified = "certified for mu in ({:+.2f}, {:+.2f})".format(*design.interval)
-    words = [certified]
+    words = ["not certified"]
+    if design.interval is not None:
+        words = ["certified for mu in ({:+.2f}, {:+.2f})".format(*design.interval)]
     if design.margins is not None:
         each = design.margins
         words += [
@@ -304,11 +304,6 @@ def verdict_text(design: DesignedGains) -> str:
     if design.reason:
         words.append(design.reason)
     return ", ".join(words)
-
-
-def _row(design: DesignedGains) -> str:
-    gains = ", ".join(f"{name}: {number_text(getattr(design.gains, name))}" for name in "pid")
-    return f"{{gains: {{{gains}}}, inertia: {number_text(design.inertia)}}}"
 
 
 def _rounded(value: float, digits: int) -> float:

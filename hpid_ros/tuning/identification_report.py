@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -279,14 +278,6 @@ def _handles() -> list[Line2D]:
         Line2D([], [], color=_PREDICTED, linewidth=0.5, alpha=0.5, label="left out"),
         Line2D([], [], color=_RESIDUAL, linewidth=0.9, label="residual"),
     ]
-
-
-def saved(figure: Figure, form: str) -> bytes:
-    """Return a figure as the content of a file."""
-    content = io.BytesIO()
-    metadata = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
-    figure.savefig(content, format=form, metadata=metadata)
-    return content.getvalue()
 
 
 _MILLISECONDS = 1e3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from operator import itemgetter
 from typing import Literal, NamedTuple
@@ -51,10 +51,9 @@ def predict(
     recorded: Sequence[JointSeries],
     fixed_base: bool = False,
     initial_positions: Mapping[str, float] | None = None,
-    progress: Callable[[str], None] = lambda label: None,
 ) -> Comparison:
     """Simulate controllers on a robot, as :func:`simulate` does, and compare them."""
-    runs = simulate(robot, loops, recorded, fixed_base, initial_positions, progress=progress)
+    runs = simulate(robot, loops, recorded, fixed_base, initial_positions)
     return Comparison(tuple(run_indices(each) for each in runs))
 
 
@@ -69,7 +68,6 @@ def simulate(
     period: float | None = None,
     has_velocities: bool = False,
     engine: str | None = None,
-    progress: Callable[[str], None] = lambda label: None,
 ) -> list[RunSeries]:
     """Simulate controllers on a robot, side by side on the machine's cores.
 
@@ -104,11 +102,8 @@ def simulate(
     }
     duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
     periods = math.floor(duration * NANOSECONDS / period_ns)
-    found = {}
     work = partial(_run, world=world, motions=motions, periods=periods)
-    for place, run in side_by_side(work, list(loops.items()), name=itemgetter(0)):
-        found[place] = run
-        progress(run.label)
+    found = dict(side_by_side(work, list(loops.items()), name=itemgetter(0)))
     return [found[place] for place in range(len(loops))]
 
 

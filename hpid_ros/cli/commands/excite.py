@@ -228,10 +228,11 @@ def _room(bounds: Any) -> float:
 
 
 def _draw(path: Path, planned: ExcitationPlan) -> None:
-    from hpid_ros.tuning.identification_report import excitation_figure, saved
+    from hpid_ros.report.plots import render
+    from hpid_ros.tuning.identification_report import excitation_figure
 
     try:
-        write_file(path, saved(excitation_figure(planned), path.suffix.lower()[1:]))
+        write_file(path, render(excitation_figure(planned), path.suffix.lower()[1:]))
     except OSError as error:
         raise SettingError(f"cannot write {path}: {error.strerror}") from None
 

@@ -154,10 +154,11 @@ def _contents(
         }
         contents[options.json] = json.dumps(document, indent=2) + "\n"
     if options.plot is not None:
-        from hpid_ros.tuning.identification_report import identification_figure, saved
+        from hpid_ros.report.plots import render
+        from hpid_ros.tuning.identification_report import identification_figure
 
         form = options.plot.suffix.lower()[1:]
-        contents[options.plot] = saved(identification_figure(found.joints, found.slides), form)
+        contents[options.plot] = render(identification_figure(found.joints, found.slides), form)
     return contents
 
 
