@@ -48,7 +48,7 @@ from hpid_ros.simulation.lockstep import AnswerCounts, Barrier
 from hpid_ros.simulation.world import World
 from hpid_ros.simulation.world_file import ControlSection, PhysicsSection, WorldFile, world_of
 
-_RESTART_TAKES = 0.2  # [s], at least: nobody waits for the place of one that was killed
+_RESTART_TAKES = 0.2  # [s], at least: the place of one that was killed stays free for so long
 _DEFAULT_ROBOT = "urdf/mobile_manipulator.urdf"
 OVER_THE_FILE: Mapping[str, tuple[str, type[Record], str]] = {
     "joints": ("robot", RobotSection, "driven"),
@@ -379,7 +379,7 @@ class RobotBridge(executor.ClosingNode):
 
     def _finish(self) -> None:
         self._is_done = True
-        self._tell_end("finished")
+        self._send_summary("finished")
         if self._pace.exit_when_done:
             self.request_stop()
 
