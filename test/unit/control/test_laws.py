@@ -1,46 +1,140 @@
-"""The linear and the homogeneous PID."""
+"""Norms and laws: reference values, homogeneity, degree zero, and the step for slow sampling."""
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, Pid, WeightedNorm
-from hpid_ros.control.norms import NormFamily
+from hpid_ros.control.homogeneous_pid import SemiImplicitHomogeneousPid
+from hpid_ros.control.norms import NormFamily, norm_floor
 
 DEGREES = st.floats(-0.49, 0.49)
+COORDINATES = st.builds(
+    lambda sign, power: sign * 10.0**power, st.sampled_from([-1.0, 1.0]), st.floats(-12.0, 6.0)
+)
+WEIGHTS = st.floats(-2.0, 2.0).map(lambda power: 10.0**power)
 SIGNALS = st.lists(
     st.tuples(st.floats(-10, 10), st.floats(-10, 10), st.floats(1e-4, 0.1)), max_size=30
 )
 GAINS = st.builds(Gains, *[st.floats(0.0, 100.0)] * 3)
 POINTS = st.tuples(st.floats(0.01, 10.0), st.floats(-10.0, -0.01))
+UNIT, SKEW = [[1.0, 0.0], [0.0, 1.0]], [[2.0, 0.5], [0.5, 1.0]]
 
 
-def test_a_norm_that_nobody_has_written_is_no_other_one():
-    with pytest.raises(NormError, match="no norm of type 'taxicab'"):
-        NormFamily("taxicab", 1.0, 1.0)(0.1)
+@st.composite
+def canonical_norms(draw):
+    degree, p11, p22 = draw(DEGREES), draw(WEIGHTS), draw(WEIGHTS)
+    bound = math.sqrt(min(1.0, 4.0 * (1.0 - degree) / (2.0 - degree) ** 2) * p11 * p22)
+    p12 = draw(st.floats(-0.95, 0.95)) * bound
+    return CanonicalNorm(degree, [[p11, p12], [p12, p22]])
+
+
+NORMS = st.builds(WeightedNorm, DEGREES, WEIGHTS, WEIGHTS) | canonical_norms()
+
+
+@pytest.mark.parametrize(
+    ("norm", "expected"),
+    [
+        (WeightedNorm(0.2, 1.0, 1.0), 0.7204482076),
+        (WeightedNorm(-0.3, 1.0, 1.0), 0.8867302300),
+        (CanonicalNorm(0.2, UNIT), 0.5333060875),
+        (CanonicalNorm(0.2, SKEW), 0.6022180186),
+    ],
+)
+def test_reference_values_of_the_norms_to_ten_digits(norm, expected):
+    assert norm(0.5, -0.3) == pytest.approx(expected, abs=5e-11)
+
+
+@given(NORMS, COORDINATES, COORDINATES, st.floats(-5.0, 5.0))
+def test_norm_is_positive_even_and_homogeneous_under_dilation(norm, error, rate, s):
+    value = norm(error, rate)
+    assert value > 0.0 == norm(0.0, 0.0)
+    assert norm(-error, -rate) == value
+    dilated = norm(error * math.exp((1.0 - norm.degree) * s), rate * math.exp(s))
+    assert dilated == pytest.approx(math.exp(s) * value, rel=1e-11)
+
+
+@given(canonical_norms(), COORDINATES, COORDINATES)
+def test_canonical_norm_agrees_with_an_independent_root_finder(norm, error, rate):
+    (p11, p12), (_, p22) = norm.shape
+
+    def outside(s):
+        y1, y2 = error * math.exp(-(1.0 - norm.degree) * s), rate * math.exp(-s)
+        return math.log(p11 * y1 * y1 + 2.0 * p12 * y1 * y2 + p22 * y2 * y2)
+
+    root = brentq(outside, -120.0, 120.0, xtol=1e-14, rtol=1e-15, maxiter=500)
+    assert norm(error, rate) == pytest.approx(math.exp(root), rel=1e-12)
+
+
+@given(canonical_norms(), st.sampled_from([1e-155, 1e150]))
+def test_canonical_norm_survives_where_squares_do_not(norm, value):
+    assert 0.0 < norm(value, 0.0) < math.inf
+    assert 0.0 < norm(0.0, value) < math.inf
+
+
+@given(DEGREES, st.floats(-320.0, -150.0), st.floats(-320.0, -150.0), st.sampled_from([1.0, -1.0]))
+def test_canonical_norm_has_a_value_down_to_the_smallest_numbers(degree, e, de, sign):
+    """Squares and reciprocals of such numbers have none."""
+    norm = CanonicalNorm(degree, ((2.0, 0.1), (0.1, 1.0)))
+    tiny = norm(10.0**e, sign * 10.0**de)
+    # The same point brought up by the dilation, of about 1e150 times the norm.
+    raised = norm(10.0 ** (e + 150.0 * (1.0 - degree)), sign * 10.0 ** (de + 150.0))
+    assert tiny >= 0.0
+    if 10.0**e > 1e-307 and 10.0**de > 1e-307 and tiny > 1e-300:  # all digits are there
+        assert tiny == pytest.approx(raised * 1e-150, rel=1e-9)
+    assert CanonicalNorm(0.0, SKEW)(0.0, 2.2250738585e-313) > 0.0  # the smallest rate: no overflow
+
+
+@given(DEGREES, st.floats(0.01, 10.0))
+def test_an_error_of_the_scale_at_rest_has_norm_one(degree, scale):
+    assert WeightedNorm.scaled(degree, scale, 0.1)(scale, 0.0) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_floor_covers_encoder_steps_and_sampling():
+    step, period, tau = 2.0 * math.pi / 4096, 0.001, 0.005
+    norm = WeightedNorm(-0.3, 1.0, 0.1)
+    sensor = norm(2.0 * step, 2.0 * step / (tau + period))
+    common = {"period": period, "resolution": step, "filter_time_constant": tau}
+    assert norm_floor(norm, derivative_gain=20.0, **common) == pytest.approx(sensor)
+    sampled = norm_floor(norm, derivative_gain=200.0, **common)
+    assert period * 200.0 * sampled**-0.3 == pytest.approx(0.25)
+    assert norm_floor(norm, period=period, derivative_gain=0.0) == 1e-6
+
+
+@pytest.mark.parametrize("degree", [-0.49, -0.2, -0.01])
+@pytest.mark.parametrize("rate", [1.0, 100.0, 240.0])
+def test_floor_keeps_the_sampled_gain_within_a_quarter(degree, rate):
+    floor = norm_floor(WeightedNorm(degree, 1.0, 0.1), period=1e-3, derivative_gain=rate)
+    assert floor == pytest.approx(max(1e-6, (0.25 / (1e-3 * rate)) ** (1.0 / degree)), rel=1e-12)
+    assert 1e-3 * rate * floor**degree <= 0.25 * (1.0 + 1e-9)
 
 
 def test_reference_value_of_the_law():
-    law = HomogeneousPid(gains=Gains(12.0, 5.0, 7.0), norm=WeightedNorm(0.2, 1.0, 1.0))
+    law = HomogeneousPid(Gains(12.0, 5.0, 7.0), WeightedNorm(0.2, 1.0, 1.0))
     law.restore_integral(0.25)
     assert law.update(0.5, -0.3, 0.001) == pytest.approx(3.545795166, abs=5e-10)
 
 
-@given(GAINS, SIGNALS, st.sampled_from(["weighted", "canonical"]), st.floats(0.0, 1.0))
-def test_degree_zero_is_the_pid_to_the_bit(gains, signal, kind, floor):
-    norm = (
-        WeightedNorm(0.0, 0.7, 0.3)
-        if kind == "weighted"
-        else CanonicalNorm(0.0, [[2.0, 0.5], [0.5, 1.0]])
-    )
-    pid, hpid = Pid(gains), HomogeneousPid(gains, norm, norm_floor=floor)
+@given(
+    GAINS,
+    SIGNALS,
+    st.sampled_from([WeightedNorm(0.0, 0.7, 0.3), CanonicalNorm(0.0, SKEW)]),
+    st.floats(0.0, 1.0),
+)
+def test_degree_zero_is_the_pid_to_the_bit(gains, signal, norm, floor):
+    """The effort has the integral before the increment."""
+    pid, hpid, integral = Pid(gains), HomogeneousPid(gains, norm, norm_floor=floor), 0.0
     for error, rate, dt in signal:
-        assert hpid.update(error, rate, dt) == pid.update(error, rate, dt)
-        assert hpid.integral == pid.integral
-        assert hpid.terms == pid.terms
+        effort = gains.p * error + gains.d * rate + integral
+        assert hpid.update(error, rate, dt) == pid.update(error, rate, dt) == effort
+        assert hpid.terms == pid.terms == (gains.p * error, integral, gains.d * rate)
+        integral += dt * (gains.i * error)
+        assert hpid.integral == pid.integral == integral
 
 
 @given(GAINS, DEGREES, POINTS, st.floats(-3.0, 3.0), st.floats(-5.0, 5.0))
@@ -65,8 +159,8 @@ def test_law_is_homogeneous_under_dilation(gains, degree, point, s, integral):
     )
 
 
-@given(GAINS, DEGREES, POINTS, st.floats(0.1, 10.0))
-def test_hpid_is_the_pid_with_its_bandwidth_multiplied(gains, degree, point, inertia):
+@given(GAINS, DEGREES, POINTS)
+def test_hpid_is_the_pid_with_its_bandwidth_multiplied(gains, degree, point):
     """kp -> lam^2 kp, kd -> lam kd, ki -> lam^3 ki at the multiplier lam of the point."""
     law = HomogeneousPid(gains, WeightedNorm(degree, 1.0, 0.2))
     lam = law.multiplier(*point)
@@ -75,29 +169,17 @@ def test_hpid_is_the_pid_with_its_bandwidth_multiplied(gains, degree, point, ine
     assert law.integral == pytest.approx(scaled.integral, rel=1e-12)
 
 
-@given(SIGNALS)
-def test_effort_uses_the_integral_before_the_increment(signal):
-    law, integral = Pid(Gains(1.0, 2.0, 3.0)), 0.0
-    for error, rate, dt in signal:
-        assert law.update(error, rate, dt) == 1.0 * error + 3.0 * rate + integral
-        integral += dt * (2.0 * error)
-        assert law.integral == integral
-
-
 @pytest.mark.parametrize("degree", [-0.49, 0.49])
 def test_at_the_origin_the_unfloored_law_is_at_rest(degree):
     law = HomogeneousPid(Gains(10.0, 10.0, 10.0), WeightedNorm(degree, 1.0, 1.0))
     law.restore_integral(0.5)
-    assert law.update(0.0, 0.0, 0.1) == 0.5
-    assert law.integral == 0.5
-    tiny = law.update(1e-300, 0.0, 0.1)
-    assert math.isfinite(tiny)
+    assert law.update(0.0, 0.0, 0.1) == law.integral == 0.5
+    assert math.isfinite(law.update(1e-300, 0.0, 0.1))
 
 
 @given(st.floats(0.0, 0.1), st.floats(-1e-3, 1e-3))
 def test_floor_and_cap_bound_the_multiplier(error, rate):
-    norm = WeightedNorm(-0.4, 1.0, 1.0)
-    law = HomogeneousPid(Gains(1.0, 0.0, 1.0), norm, norm_floor=0.01, norm_cap=0.05)
+    law = HomogeneousPid(Gains(1.0, 0.0, 1.0), WeightedNorm(-0.4, 1.0, 1.0), 0.01, 0.05)
     assert 0.05**-0.4 <= law.multiplier(error, rate) <= 0.01**-0.4
 
 
@@ -126,20 +208,118 @@ def test_integral_is_read_only_and_reset_forgets_it():
         law.integral = 3.0
     assert law.integral > 0.0
     law.reset()
-    assert law.integral == 0.0
-    assert law.terms == (0.0, 0.0, 0.0)
+    assert (law.integral, *law.terms) == (0.0, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0])
-@pytest.mark.parametrize("place", [0, 1, 2])
-def test_bad_gains_are_refused_by_name(bad, place):
-    values = [1.0, 1.0, 1.0]
-    values[place] = bad
-    with pytest.raises(GainError, match=f"gain {'pid'[place]} must be finite"):
-        Gains(*values)
+TRIPLE = Gains(p=300.0, i=1000.0, d=30.0)  # three poles at -10 rad/s on a unit inertia
+DAMPED = Gains(p=100.0, i=50.0, d=40.0)
+VALUES = st.floats(-2.0, 2.0).filter(lambda x: x == 0.0 or abs(x) > 1e-9)
 
 
-@pytest.mark.parametrize("bounds", [(-0.1, 1.0), (1.0, 1.0), (math.nan, 1.0)])
-def test_a_floor_above_the_cap_is_refused(bounds):
-    with pytest.raises(NormError, match="floor"):
-        HomogeneousPid(Gains(1.0, 1.0, 1.0), WeightedNorm(0.1, 1.0, 1.0), *bounds)
+def sampled(law, period, duration=1.0, inertia=1.0):
+    """Return times, errors and efforts of a sampled loop, its effort held between the samples."""
+    error, rate, errors, efforts = 1.0, 0.0, [], []
+    for _ in range(round(duration / period)):
+        errors.append(error)
+        efforts.append(law.update(error, rate, period))
+        acceleration = (20.0 - efforts[-1]) / inertia
+        error += period * rate + 0.5 * period**2 * acceleration
+        rate += period * acceleration
+        if abs(error) > 1e6:
+            break
+    return period * np.arange(len(errors)), np.array(errors), np.array(efforts)
+
+
+def explicit(degree, gains=TRIPLE, floor=1e-4):
+    return HomogeneousPid(gains, WeightedNorm(degree, 1.0, 0.1), floor)
+
+
+def implicit(degree, gains=TRIPLE, floor=1e-4, inertia=1.0):
+    norm = WeightedNorm(degree, 1.0, 0.1)
+    return SemiImplicitHomogeneousPid(gains, norm, floor, inertia=inertia)
+
+
+@given(VALUES, VALUES, st.floats(1e-4, 0.1), st.floats(0.1, 10.0))
+def test_at_degree_zero_the_semi_implicit_law_is_the_pid_by_backward_euler(e, de, period, inertia):
+    law = implicit(0.0, inertia=inertia)
+    law.restore_integral(0.7)
+    effort = law.update(e, de, period)
+    # e+ = e + T de+ and de+ = de - T (p e+ + d de+) / m, the integral left to the disturbance.
+    step = [[1.0, -period], [period * TRIPLE.p / inertia, 1.0 + period * TRIPLE.d / inertia]]
+    after = np.linalg.solve(step, [e, de])
+    assert effort == pytest.approx(TRIPLE.p * after[0] + TRIPLE.d * after[1] + 0.7, abs=1e-9)
+    assert law.integral == pytest.approx(0.7 + period * TRIPLE.i * after[0], abs=1e-9)
+
+
+@given(st.floats(-0.4, 0.4), VALUES, VALUES)
+def test_the_semi_implicit_law_is_the_law_itself_for_fast_sampling(degree, error, rate):
+    law, other = implicit(degree, floor=1e-2), explicit(degree, floor=1e-2)
+    expected = other.update(error, rate, 1e-9)
+    assert law.update(error, rate, 1e-9) == pytest.approx(expected, rel=1e-3, abs=1e-3)
+    assert law.integral == pytest.approx(other.integral, rel=1e-3, abs=1e-9)
+    assert sum(law.terms) == pytest.approx(law.update(error, rate, 0.0), rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("degree", [-0.2, 0.0, 0.2])
+def test_error_of_the_semi_implicit_law_is_of_first_order_in_the_period(degree):
+    gains = Gains(*(2.0 * gain for gain in (TRIPLE.p, TRIPLE.i, TRIPLE.d)))
+    times, truth, _ = sampled(explicit(degree, gains), 2e-5, inertia=2.0)
+    worst = []
+    for period in (20e-3, 10e-3, 5e-3):
+        t, errors, _ = sampled(implicit(degree, gains, inertia=2.0), period, inertia=2.0)
+        worst.append(np.abs(errors - np.interp(t, times, truth)).max())
+    assert worst[2] < 0.08
+    assert worst[0] / worst[2] > 2.5
+    assert worst == sorted(worst, reverse=True)
+
+
+@pytest.mark.parametrize("degree", [0.0, 0.2])
+def test_the_semi_implicit_law_settles_where_forward_euler_diverges(degree):
+    lost, settled = (
+        sampled(make(degree, DAMPED), 0.055, 12.0)[1][-20:] for make in (explicit, implicit)
+    )  # T kd = 2.2
+    assert np.abs(lost).max() > 1e3
+    assert np.abs(settled).max() < 0.02
+
+
+@pytest.mark.parametrize(("degree", "period"), [(-0.3, 0.01), (-0.3, 0.02), (-0.2, 0.02)])
+def test_the_semi_implicit_law_does_not_chatter_at_rest_where_forward_euler_does(degree, period):
+    """Close to the target a negative degree multiplies the gains, and T kd lam is large."""
+    _, _, chatters = sampled(explicit(degree, DAMPED), period, 12.0)
+    _, errors, efforts = sampled(implicit(degree, DAMPED), period, 12.0)
+    assert np.ptp(chatters[-20:]) > 10.0
+    assert np.ptp(efforts[-20:]) < 0.01 * np.ptp(chatters[-20:])
+    assert np.abs(errors[-20:]).max() < 1e-3
+
+
+NORM = WeightedNorm(0.1, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: WeightedNorm(0.5, 1.0, 1.0), NormError, r"\(-0.5, 0.5\), not 0.5"),
+        (lambda: WeightedNorm(math.nan, 1.0, 1.0), NormError, "not nan"),
+        (lambda: WeightedNorm(0.1, 0.0, 1.0), NormError, "error_weight .* not 0"),
+        (lambda: WeightedNorm(0.1, 1.0, math.inf), NormError, "rate_weight .* finite"),
+        (lambda: WeightedNorm.scaled(0.1, -1.0, 1.0), NormError, "error_scale must be positive"),
+        (lambda: CanonicalNorm(0.1, [[1.0, 0.2], [0.3, 1.0]]), NormError, "symmetric"),
+        (lambda: CanonicalNorm(0.1, [[1.0, 2.0], [2.0, 1.0]]), NormError, "positive definite"),
+        (lambda: CanonicalNorm(0.1, [[1.0, 0.0]]), NormError, "2x2 matrix"),
+        (lambda: CanonicalNorm(0.1, [[1.0, math.nan]] * 2), NormError, "must be finite"),
+        (lambda: CanonicalNorm(0.49, [[1.0, 0.96], [0.96, 1.0]]), NormError, "not monotone"),
+        (lambda: NormFamily("taxicab", 1.0, 1.0)(0.1), NormError, "type 'taxicab'"),
+        (lambda: HomogeneousPid(TRIPLE, NORM, -0.1, 1.0), NormError, "floor"),
+        (lambda: HomogeneousPid(TRIPLE, NORM, 1.0, 1.0), NormError, "floor"),
+        (lambda: HomogeneousPid(TRIPLE, NORM, math.nan, 1.0), NormError, "floor"),
+        (lambda: implicit(0.1, inertia=0.0), GainError, "inertia must be positive"),
+        (lambda: implicit(0.1, floor=-1.0), NormError, "floor"),
+        (lambda: Gains(math.nan, 1.0, 1.0), GainError, "gain p must be finite"),
+        (lambda: Gains(1.0, math.inf, 1.0), GainError, "gain i must be finite"),
+        (lambda: Gains(1.0, 1.0, -1.0), GainError, "gain d must be finite"),
+    ],
+)
+def test_bad_norms_and_gains_are_refused_in_one_line(make, error, message):
+    with pytest.raises(error, match=message) as refusal:
+        make()
+    assert "\n" not in str(refusal.value)
