@@ -17,8 +17,7 @@ from hpid_ros.motion.excitation import RelayWish, planned_relay
 from hpid_ros.nodes.core.middleware import RARE
 
 MS = 1_000_000
-REFUSED = "reference refused: relays are not allowed: allow_relay is false"
-BEGUN = "a relay of 1 N m drives the joint"
+RELAY = [1.0, 0.01, 0.5, 20.0, 30.0]
 
 
 def allows_relays(harness):
@@ -67,48 +66,43 @@ def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
     assert found.cycle.inertia == pytest.approx(INERTIA, rel=0.2)
 
 
-@pytest.mark.parametrize(
-    ("numbers", "line"),
-    [
+def test_a_relay_is_taken_only_while_it_is_allowed_and_where_it_can_be(harness):
+    controller = harness.start_controller(
+        law="pid", gains__p=10.0, gains__d=1.0, u_clamp_max=20.0, u_clamp_min=-20.0
+    )
+    publisher = harness.node.create_publisher(Float64MultiArray, "elbow_controller/relay", RARE)
+    harness.wait(publisher.get_subscription_count, what="the subscription")
+    stamps = iter(range(MS, 1000 * MS, MS))
+
+    def efforts(count):
+        return [harness.ask(next(stamps), 0.5) for _ in range(count)]
+
+    def publish(numbers, line):
+        publisher.publish(Float64MultiArray(data=numbers))
+        harness.wait(lambda: line in controller.log.read_text(), what=line)
+
+    def refuse(numbers, line):
+        def is_said():  # once a second at most
+            publisher.publish(Float64MultiArray(data=numbers))
+            return line in controller.log.read_text()
+
+        harness.wait(is_said, what=line)
+
+    assert efforts(1) == [0.0]
+    publish(RELAY, "relays are not allowed: allow_relay is false")
+    assert efforts(30) == [0.0] * 30
+    assert harness.set_parameters("elbow_controller", allow_relay=True)[0]
+    for numbers, line in (
         ([1.0, 0.1], "a relay is asked for with 5 numbers"),
         ([float("nan"), 0.1, 0.2, 5.0, 5.0], "the amplitude of a relay must be finite"),
         ([50.0, 0.1, 0.2, 5.0, 5.0], "not within the effort limits"),
         ([0.0] * 100, "100 numbers, 64 are allowed"),
-    ],
-)
-def test_a_relay_that_cannot_be_is_refused_and_the_joint_held(harness, numbers, line):
-    controller = harness.start_controller(
-        law="pid",
-        gains__p=10.0,
-        gains__d=1.0,
-        u_clamp_max=20.0,
-        u_clamp_min=-20.0,
-        allow_relay=True,
-    )
-    publisher = harness.node.create_publisher(Float64MultiArray, "elbow_controller/relay", RARE)
-    harness.wait(publisher.get_subscription_count, what="the subscription")
-    assert harness.ask(MS, 0.5) == 0.0
-    publisher.publish(Float64MultiArray(data=numbers))
-    harness.wait(lambda: line in controller.log.read_text(), what="the refusal")
-    for k in range(2, 40):
-        assert harness.ask(k * MS, 0.5) == 0.0
-
-
-def test_a_relay_is_taken_only_while_it_is_allowed(harness):
-    controller = harness.start_controller(law="pid", gains__p=10.0, gains__d=1.0)
-    publisher = harness.node.create_publisher(Float64MultiArray, "elbow_controller/relay", RARE)
-    harness.wait(publisher.get_subscription_count, what="the subscription")
-    assert harness.ask(MS, 0.5) == 0.0
-    relay = Float64MultiArray(data=[1.0, 0.01, 0.5, 20.0, 30.0])
-    publisher.publish(relay)
-    harness.wait(lambda: REFUSED in controller.log.read_text(), what="the refusal")
-    assert [harness.ask(k * MS, 0.5) for k in range(2, 40)] == [0.0] * 38
-    assert harness.set_parameters("elbow_controller", allow_relay=True)[0]
-    publisher.publish(relay)
-    harness.wait(lambda: BEGUN in controller.log.read_text(), what="the relay")
-    efforts = [harness.ask(k * MS, 0.5) for k in range(40, 500)]
-    assert abs(efforts[-1]) == 1.0
+    ):
+        refuse(numbers, line)
+        assert efforts(10) == [0.0] * 10
+    publish(RELAY, "a relay of 1 N m drives the joint")
+    assert abs(efforts(400)[-1]) == 1.0
     assert harness.set_parameters("elbow_controller", allow_relay=False)[0]
-    efforts = [harness.ask(k * MS, 0.5) for k in range(500, 1000)]
-    assert efforts[-1] == 0.0
-    assert max(abs(one - other) for one, other in pairwise(efforts)) < 0.1  # no jump
+    back = efforts(450)
+    assert back[-1] == 0.0
+    assert max(abs(one - other) for one, other in pairwise(back)) < 0.1  # no jump
