@@ -19,6 +19,8 @@ from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.motion import Column, Knot
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 ROUNDS, MESSAGES = 10, 5000
 
