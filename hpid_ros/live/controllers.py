@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
-from hpid_ros.base.errors import HpidError, RunError, SettingError
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.base.files import ResourceError
 from hpid_ros.base.units import Numbers
-from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import RobotLimits, robot_limits
 
 SILENT_AFTER = 3.0
 """Time without a word on ``/diagnostics`` in [s]; controllers report once a second."""
@@ -91,18 +90,12 @@ def _of_loop(parameters: Mapping[str, Any]) -> dict[str, Value]:
 @lru_cache(maxsize=64)  # a controller is read again after every doubt
 def _described_limits(source: str, joint: str) -> RobotLimits:
     """Return the limits of a joint in the description that its controller has."""
-    if not source:
-        return RobotLimits()
-    if not source.lstrip().startswith("<"):
-        try:
-            source = str(find_resource(source))
-        except HpidError as error:
-            raise RunError(
-                f"robot_description of the controller of {joint} is a file that is not here: "
-                f"{error}"
-            ) from None
-    (found,) = RobotDescription.load(source).select([joint])
-    return RobotLimits.of(found)
+    try:
+        return robot_limits(source, joint)
+    except ResourceError as error:
+        raise RunError(
+            f"robot_description of the controller of {joint} is a file that is not here: {error}"
+        ) from None
 
 
 class RunningGraph(NamedTuple):

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
 
 from hpid_ros.base.errors import RobotDescriptionError, unknown_name
-from hpid_ros.base.files import is_file, package_folder
+from hpid_ros.base.files import find_resource, is_file, package_folder
+from hpid_ros.control.settings import LoopSettings
 
 _FILE, _PACKAGE = "file://", "package://"
 
@@ -375,3 +376,72 @@ class GivenRobot:
     fixed_base: bool = False  # whether its root is held
     initial_positions: Mapping[str, float] = field(default_factory=dict)
     wheels: tuple[str, ...] = ()  # joints on which its base rolls, as far as they are named
+
+
+@dataclass(frozen=True)
+class RobotLimits:
+    """What the robot's description allows a joint; it holds together with the parameters."""
+
+    effort: float = math.inf  # [N m] largest absolute effort
+    lower: float = -math.inf  # [rad] lowest position
+    upper: float = math.inf  # [rad] highest position
+    velocity: float = math.inf  # [rad/s] largest absolute velocity
+    damping: float = 0.0  # [N m s/rad] its viscous friction
+    friction: float = 0.0  # [N m] its Coulomb friction
+    is_continuous: bool = False  # whether the joint turns without end
+    is_slide: bool = False  # whether it slides: "rad" reads "m" then, and "N m" reads "N"
+
+    @classmethod
+    def of(cls, joint: JointDescription) -> RobotLimits:
+        """Return those of a joint. A velocity of 0 is none, as many URDFs write it."""
+        velocity = joint.velocity if joint.velocity > 0.0 else math.inf
+        return cls(
+            joint.effort,
+            joint.lower,
+            joint.upper,
+            velocity,
+            joint.damping,
+            joint.friction,
+            is_continuous=joint.type == "continuous",
+            is_slide=joint.type == "prismatic",
+        )
+
+    def within(self, settings: LoopSettings) -> LoopSettings:
+        """Return the settings within these limits."""
+        effort, motion, encoder = settings.effort, settings.motion, settings.encoder
+        ahead = settings.feedforward
+        wraps = self.is_continuous and encoder.wrap < 0.0
+        return replace(
+            settings,
+            effort=replace(
+                effort,
+                u_clamp_max=max(min(effort.u_clamp_max, self.effort), -self.effort),
+                u_clamp_min=min(max(effort.u_clamp_min, -self.effort), self.effort),
+            ),
+            motion=replace(
+                motion,
+                position_max=min(motion.position_max, self.upper),
+                position_min=max(motion.position_min, self.lower),
+                velocity_max=min(motion.velocity_max, self.velocity),
+            ),
+            encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
+            feedforward=replace(
+                ahead,
+                viscous_friction=(
+                    self.damping if ahead.viscous_friction < 0.0 else ahead.viscous_friction
+                ),
+                coulomb_friction=(
+                    self.friction if ahead.coulomb_friction < 0.0 else ahead.coulomb_friction
+                ),
+            ),
+        )
+
+
+def robot_limits(source: str, joint: str) -> RobotLimits:
+    """Return what a description, XML text or a file, allows a joint; without one anything."""
+    if not source or not joint:
+        return RobotLimits()
+    if not source.lstrip().startswith("<"):
+        source = str(find_resource(source))
+    (found,) = RobotDescription.load(source).select([joint])
+    return RobotLimits.of(found)

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hpid_ros.base.errors import BagError, HpidError, MessageError, SettingError, unknown_name
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import ALLOW_RELAY, node_sections
 from hpid_ros.base.yaml_files import load_yaml, parse_yaml
-from hpid_ros.control.controller_files import RobotLimits, settings_from_parameters
+from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
@@ -35,7 +34,7 @@ from hpid_ros.messages.selection import (
     namespace_of,
 )
 from hpid_ros.messages.storage import PARAMETERS, Storage, recorded_slides
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import RobotLimits, robot_limits
 from hpid_ros.tuning.replay import (
     Answer,
     Instruction,
@@ -89,7 +88,7 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
             continue
         own = {**everywhere, **sections.get(node, {})}
         robot = str(own.get("robot_description", ""))
-        limits = _limits(robot, settings.joint)
+        limits = robot_limits(robot, settings.joint)
         settings = _as_applied(settings, limits, robot)
         if settings.joint in controllers:
             raise SettingError(
@@ -113,14 +112,6 @@ def _as_applied(settings: LoopSettings, limits: RobotLimits, robot: str) -> Loop
     from hpid_ros.robot.compensation import with_inertia
 
     return with_inertia(settings, robot)
-
-
-def _limits(robot: str, joint: str) -> RobotLimits:
-    if not robot:
-        return RobotLimits()
-    source = robot if robot.lstrip().startswith("<") else str(find_resource(robot))
-    (found,) = RobotDescription.load(source).select([joint])
-    return RobotLimits.of(found)
 
 
 def recorded_controllers(path: Path, parameters: Path | None = None) -> dict[str, Controller]:

@@ -11,10 +11,10 @@ import numpy as np
 
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.control import JointLoop, LoopSettings
-from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.live.controllers import Answer, Change, Controller, Health, Samples
+from hpid_ros.robot.description import RobotLimits
 
 PERIOD_NS = 1_000_000
 _OF_NODE = {

@@ -11,9 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import HpidError, MessageError
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.records import Record, quantity
-from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.settings import (
@@ -25,7 +23,7 @@ from hpid_ros.control.settings import (
 )
 from hpid_ros.messages.joint_state import JointSample, RobotReader
 from hpid_ros.nodes.core.process import declare, read
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import robot_limits
 
 if TYPE_CHECKING:
     from hpid_ros.robot.compensation import LoopModel
@@ -40,17 +38,6 @@ class RobotParameters(Record):
     )
 
 
-def robot_limits(node: Node, source: str) -> RobotLimits:
-    """Return what a robot's description allows a joint."""
-    joint = node.get_parameter("joint").value
-    if not source or not joint:  # a missing joint is refused with the other settings
-        return RobotLimits()
-    if not source.lstrip().startswith("<"):
-        source = str(find_resource(source))
-    (found,) = RobotDescription.load(source).select([joint])
-    return RobotLimits.of(found)
-
-
 class ControllerSettings:
     """Makes of a controller's parameters the settings of its loop, within the robot's limits."""
 
@@ -58,7 +45,7 @@ class ControllerSettings:
         self._node = node
         declare(node, [PARAMETERS["joint"]], read_only=["joint"])
         self.robot = read(node, RobotParameters).robot_description
-        self._limits = robot_limits(node, self.robot)
+        self._limits = robot_limits(self.robot, str(node.get_parameter("joint").value))
         self.is_slide = self._limits.is_slide
         specs = [spec for name, spec in PARAMETERS.items() if name != "joint"]
         declare(node, specs, read_only=MODEL_PARAMETERS, is_slide=self.is_slide)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import ModelTerm
-from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
+from hpid_ros.robot.description import RobotLimits
 
 MS, SECOND = 1_000_000, 1_000_000_000
 PID = {"law": "pid", "gains__p": 200.0, "gains__i": 500.0, "gains__d": 20.0}
