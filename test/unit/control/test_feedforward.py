@@ -1,4 +1,4 @@
-"""What is fed forward: the reference is met with less error, and nothing that is told jumps."""
+"""What is fed forward: the reference is met with less error, and no effort jumps."""
 
 import math
 from itertools import pairwise
@@ -8,7 +8,6 @@ from harness.loops import loop_settings, pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.base.errors import SettingError
 from hpid_ros.control import ModelTerm
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
@@ -51,14 +50,14 @@ def drive(loop, joint, samples):
     return efforts, errors
 
 
-def motion(*efforts, seconds=1.0, distance=1.0):
-    """Return a quintic from 0, with these efforts, one a knot."""
-    ends = [(0.0, 0.0), (seconds, distance)]
-    knots = [
-        Knot(round(t * SECOND), q, 0.0, 0.0, effort)
-        for (t, q), effort in zip(ends, efforts or (None, None), strict=True)
-    ]
-    return Column("elbow", tuple(knots))
+def at_rest(loop, first, last, model=None):
+    return [loop.step(k * MS, 0.0, 0.0, model) for k in range(first, last)]
+
+
+def motion(first=None, last=None):
+    """Return a quintic from 0 to 1 rad in 1 s, with these efforts at its ends."""
+    ends = Knot(0, 0.0, 0.0, 0.0, first), Knot(SECOND, 1.0, 0.0, 0.0, last)
+    return Column("elbow", ends)
 
 
 def held(*efforts, begin=0, gap=100 * MS):
@@ -69,11 +68,8 @@ def held(*efforts, begin=0, gap=100 * MS):
 
 def test_what_moves_the_joint_is_known_beforehand():
     worst = {}
-    for name, parts in {
-        "none": {},
-        "inertia": {"feedforward__inertia": INERTIA},
-        "all": MODEL,
-    }.items():
+    inertia = {"feedforward__inertia": INERTIA}
+    for name, parts in (("none", {}), ("inertia", inertia), ("all", MODEL)):
         loop, joint = pure_loop(**PID, **parts), Joint()
         drive(loop, joint, 10)
         loop.follow(motion())
@@ -85,7 +81,7 @@ def test_what_moves_the_joint_is_known_beforehand():
 def test_planned_efforts_are_given_linearly_between_the_points():
     loop = pure_loop(law="pid", takeover_time=0.0)
     loop.follow(held(1.0, 3.0, -2.0, begin=50 * MS))
-    efforts = {k: loop.step(k * MS, 0.0, 0.0) for k in range(400)}
+    efforts = at_rest(loop, 0, 400)
     for k, effort in {1: 1.0, 50: 1.0, 100: 2.0, 150: 3.0, 190: 1.0, 250: -2.0, 399: -2.0}.items():
         assert efforts[k] == pytest.approx(effort)
         assert loop.feedforward_effort == -2.0
@@ -105,24 +101,21 @@ def test_a_planned_weight_takes_the_place_of_the_integral_that_held_it():
     assert loop.feedforward_effort == 0.0
 
 
-def test_without_an_integral_it_fades_in():
-    loop = pure_loop(law="pid", gains__p=10.0, takeover_time=0.2)
-    efforts = [loop.step(k * MS, 0.0, 0.0) for k in range(10)]
+@pytest.mark.parametrize(
+    ("values", "rest", "integral"),
+    [
+        ({"gains__p": 10.0}, 4.0, 0.0),
+        ({**PID, "i_clamp_min": -1.0, "i_clamp_max": 1.0}, 3.0, -1.0),
+    ],
+)
+def test_what_no_integral_may_give_up_fades_in(values, rest, integral):
+    loop = pure_loop(**{"law": "pid", "takeover_time": 0.2, **values})
+    efforts = at_rest(loop, 0, 10)
     loop.follow(held(4.0, 4.0))
-    efforts += [loop.step(k * MS, 0.0, 0.0) for k in range(10, 400)]
-    assert max(abs(b - a) for a, b in pairwise(efforts)) <= 4.0 / 200 + 1e-9
-    assert efforts[-1] == 4.0
-    assert loop.integral == 0.0
-
-
-def test_what_the_integral_may_not_give_up_fades_in():
-    loop = pure_loop(**PID, i_clamp_min=-1.0, i_clamp_max=1.0, takeover_time=0.2)
-    drive(loop, Joint(), 5)
-    loop.follow(held(4.0, 4.0))
-    efforts = [loop.step((10 + k) * MS, 0.0, 0.0) for k in range(400)]
-    assert max(abs(b - a) for a, b in pairwise(efforts)) <= 3.0 / 200 + 1e-6
-    assert loop.integral == -1.0
-    assert efforts[-1] == pytest.approx(3.0)
+    efforts += at_rest(loop, 10, 400)
+    assert max(abs(b - a) for a, b in pairwise(efforts)) <= rest / 200 + 1e-6
+    assert efforts[-1] == pytest.approx(rest)
+    assert loop.integral == integral
 
 
 MOTIONS = {
@@ -151,7 +144,7 @@ CHANGES = {
     )
 )
 def test_where_nothing_moves_the_effort_moves_no_faster_than_its_plan(steps):
-    """The reference rests and the joint is on it: nothing that is told is a jump."""
+    """The reference rests and the joint is on it: no change is a jump."""
     loop = pure_loop(law="pid", gains__p=50.0, gains__i=100.0, gains__d=5.0, takeover_time=0.2)
     stamp_ns, efforts = 0, []
 
@@ -175,7 +168,7 @@ def test_where_nothing_moves_the_effort_moves_no_faster_than_its_plan(steps):
     assert max(abs(b - a) for a, b in pairwise(efforts)) <= 0.1 + 0.05 * len(steps) + 0.05 + 1e-6
 
 
-def test_a_takeover_begins_with_the_effort_in_force():
+def test_a_takeover_begins_with_the_active_effort():
     loop, joint = pure_loop(**PID), Joint(load=-8.0)
     loop.follow(held(5.0, 5.0))
     effort = drive(loop, joint, 3000)[0][-1]
@@ -196,37 +189,26 @@ def test_a_single_stamp_from_the_future_leaves_nothing_behind():
         assert loop.step(k * MS, 1e-3 * k, 1.0) == twin.step(k * MS, 1e-3 * k, 1.0)
 
 
-def test_efforts_of_some_points_are_none_of_the_trajectorys():
-    loop = pure_loop(law="pid", takeover_time=0.0)
-    loop.follow(held(1.0, None))
-    assert {loop.step(k * MS, 0.0, 0.0) for k in range(200)} == {0.0}
+@pytest.mark.parametrize(
+    ("efforts", "values", "model", "expected"),
+    [
+        ((1.0, None), {}, None, 0.0),  # efforts of some points are none of the trajectory's
+        ((4.0, 4.0), {"compensation": "gravity"}, ModelTerm(1.0, 3.0), 3.0),  # it has the weight
+    ],
+)
+def test_planned_efforts_are_left_out(efforts, values, model, expected):
+    loop = pure_loop(law="pid", takeover_time=0.0, **values)
+    loop.follow(held(*efforts))
+    assert set(at_rest(loop, 0, 100, model)) == {expected}
 
 
-def test_a_model_knows_the_weight_itself():
-    loop = pure_loop(law="pid", compensation="gravity", takeover_time=0.0)
-    loop.follow(held(4.0, 4.0))
-    efforts = {loop.step(k * MS, 0.0, 0.0, ModelTerm(1.0, 3.0)) for k in range(100)}
-    assert efforts == {3.0}
-
-
-def test_what_is_told_twice_is_refused_and_what_is_described_is_taken():
-    with pytest.raises(SettingError, match=r"decoupling .* must be 0 with it, not 0.5"):
-        loop_settings(compensation="decoupling", feedforward__inertia=0.5)
-    with pytest.raises(SettingError, match=r"takes the parameter inertia, which is unknown"):
-        loop_settings(feedforward__inertia=-1.0)
-    known = {"inertia": 0.3, "gains__p": 1.0, "gains__i": 0.1, "gains__d": 1.0}
-    asked = loop_settings(
-        **known,
-        feedforward__inertia=-1.0,
-        feedforward__viscous_friction=-1.0,
-        feedforward__coulomb_friction=-1.0,
-    )
+def test_what_is_described_is_taken():
+    names = ("inertia", "viscous_friction", "coulomb_friction")
+    known = {"inertia": 0.3, "gains__p": 1.0, "gains__i": 0.1, "gains__d": 1.0, "law": "pid"}
+    asked = loop_settings(**known, **{f"feedforward__{name}": -1.0 for name in names})
     described = RobotLimits(damping=0.25, friction=0.75).within(asked).feedforward
     assert (described.viscous_friction, described.coulomb_friction) == (0.25, 0.75)
-    loop = pure_loop(
-        law="pid", inertia=0.3, feedforward__inertia=-1.0, gains__p=1.0, gains__i=0.1, gains__d=1.0
-    )
+    loop = pure_loop(**known, feedforward__inertia=-1.0)
     loop.follow(Column("elbow", (Knot(0, 0.0, 0.0, 2.0), Knot(SECOND, 1.0, 0.0, 0.0)), stamp_ns=1))
-    loop.step(0, 0.0, 0.0)
-    loop.step(1 * MS, 0.0, 0.0)
+    at_rest(loop, 0, 2)
     assert loop.feedforward_effort == pytest.approx(0.3 * 2.0, abs=0.02)
