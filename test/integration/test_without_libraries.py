@@ -46,9 +46,11 @@ def test_every_node_starts_and_the_recorder_says_what_it_lacks(tmp_path):
         *("follow_joint_trajectory", "trajectory_publisher", "pybullet_bridge", "mujoco_bridge"),
     )
     program = f"from hpid_ros.nodes import {', '.join(nodes)}, bag_recorder as node\n"
-    ended = barred("--ros-args", "-p", f"bag:={tmp_path / 'bag'}", program=program + (
-        "sys.exit(node.main(sys.argv))"
-    ))  # fmt: skip
+    ended = barred(
+        *("--ros-args", "-p", f"bag:={tmp_path / 'bag'}"),
+        program=f"{program}sys.exit(node.main(sys.argv))",
+        libraries=OPTIONAL.keys() - {"rclpy"},
+    )
     assert ended.returncode == 2
     assert ended.stderr.startswith("writing bags, and reading reports of a simulated robot needs")
     assert ended.stderr.count("\n") == 1
