@@ -174,7 +174,7 @@ class HomogeneousPid(Pid):
         NormError: The floor is negative or not below the cap.
     """
 
-    __slots__ = ("_at_zero", "_cap", "_degree", "_floor", "_weights", "norm")
+    __slots__ = ("_at_zero", "_degree", "_weights", "norm", "norm_cap", "norm_floor")
 
     def __init__(
         self,
@@ -187,22 +187,12 @@ class HomogeneousPid(Pid):
         super().__init__(gains)
         self.norm = norm
         self._degree = norm.degree
-        self._floor = norm_floor
-        self._cap = norm_cap
+        self.norm_floor = norm_floor
+        self.norm_cap = norm_cap
         self._at_zero = 1.0 if norm.degree == 0.0 else 0.0
         self._weights: tuple[float, float, float] | None = None
         if type(norm) is WeightedNorm:
             self._weights = norm.error_weight, norm.error_exponent, norm.rate_weight
-
-    @property
-    def norm_floor(self) -> float:
-        """Lower bound of the norm."""
-        return self._floor
-
-    @property
-    def norm_cap(self) -> float:
-        """Upper bound of the norm."""
-        return self._cap
 
     def multiplier(self, error: float, error_rate: float) -> float:
         r"""Return :math:`n^\mu`, the factor of the loop's bandwidth.
@@ -214,7 +204,7 @@ class HomogeneousPid(Pid):
             error: Reference minus measured position, in [rad].
             error_rate: Its time derivative, in [rad/s].
         """
-        n = min(max(self.norm(error, error_rate), self._floor), self._cap)
+        n = min(max(self.norm(error, error_rate), self.norm_floor), self.norm_cap)
         return n**self._degree if n else self._at_zero
 
     def update(self, error: float, error_rate: float, dt: float) -> float:
@@ -236,10 +226,10 @@ class HomogeneousPid(Pid):
         else:
             error_weight, exponent, rate_weight = weights
             n = error_weight * abs(error) ** exponent + rate_weight * abs(error_rate)
-        if n < self._floor:
-            n = self._floor
-        elif n > self._cap:
-            n = self._cap
+        if n < self.norm_floor:
+            n = self.norm_floor
+        elif n > self.norm_cap:
+            n = self.norm_cap
         multiplier = n**self._degree if n else self._at_zero
         gains, integral = self.gains, self._integral
         square = multiplier * multiplier

@@ -71,10 +71,6 @@ class LoopClock:
         self.has_timed_out = False
         self._unusable = 0
 
-    def note_timeout(self) -> None:
-        """Note that no state has come for too long."""
-        self.has_timed_out = True
-
     def take(self, stamp_ns: int, dt: float, timing: Timing) -> None:
         """Take the stamp of a usable state."""
         self.stamp_ns = stamp_ns
@@ -273,7 +269,7 @@ class JointLoop:
         Returns:
             ``fallback_effort``, within the effort limits, in [N m].
         """
-        self._clock.note_timeout()
+        self._clock.has_timed_out = True
         self._drop_relay("no state came")
         self.counts.silences += 1
         if not self._timing.is_simulated:
