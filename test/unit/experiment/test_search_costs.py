@@ -18,10 +18,10 @@ from hpid_ros.experiment.search import (
 from hpid_ros.metrics.results import JointIndices, RunIndices
 from hpid_ros.report.plots import pareto_front
 
+PARAMETERS = st.sampled_from([*PID_PARAMETERS, *HPID_PARAMETERS, *EFFORT_PARAMETERS])
 
-@given(
-    st.sampled_from([*PID_PARAMETERS, *HPID_PARAMETERS, *EFFORT_PARAMETERS]), st.floats(0.0, 1.0)
-)
+
+@given(PARAMETERS, st.floats(0.0, 1.0))
 def test_a_share_of_the_way_is_a_value_within_the_bounds_and_back(parameter, share):
     value = parameter.value(share)
     assert parameter.low <= value <= parameter.high
@@ -36,9 +36,8 @@ def test_the_linear_rival_has_no_fewer_free_parameters():
 
 
 def indices(label, *values):
-    ivc, iavc, itae, effort, error = values
-    totals = JointIndices(ivc, iavc, itae)
-    return RunIndices(label, {"j": totals}, totals, effort, error)
+    totals = JointIndices(*values[:3])
+    return RunIndices(label, {"j": totals}, totals, *values[3:])
 
 
 def test_the_cost_is_the_geometric_mean_of_the_ratios():
@@ -60,20 +59,6 @@ def test_a_zero_against_a_zero_is_one_and_anything_against_zero_costs_infinitely
     assert Cost({"itae": 1.0}).of(mean_ratios([some], [zero])) == 1.0
 
 
-@pytest.mark.parametrize(
-    ("weights", "words"),
-    [
-        ({"ivcc": 1.0}, "did you mean 'ivc'"),
-        ({"ivc": -1.0}, "must be finite and not negative"),
-        ({"ivc": 0.0}, "at least one index"),
-        ({}, "at least one index"),
-    ],
-)
-def test_costs_that_are_none_are_refused(weights, words):
-    with pytest.raises(SettingError, match=words):
-        Cost(weights)
-
-
 def test_limits_make_the_worst_index_the_cost():
     ratios = {"ivc": 0.5, "iavc": 1.0, "itae": 2.0, "effort_l2": 1.0, "error_l2": 1.0}
     assert WorstExcess({"ivc": 0.5, "iavc": 0.8}).of(ratios) == 1.25
@@ -82,16 +67,20 @@ def test_limits_make_the_worst_index_the_cost():
 
 
 @pytest.mark.parametrize(
-    ("limits", "words"),
+    ("kind", "values", "words"),
     [
-        ({"ivcc": 1.0}, "did you mean 'ivc'"),
-        ({"ivc": 0.0}, "must be finite and positive"),
-        ({}, "at least one index"),
+        (Cost, {"ivcc": 1.0}, "did you mean 'ivc'"),
+        (Cost, {"ivc": -1.0}, "must be finite and not negative"),
+        (Cost, {"ivc": 0.0}, "at least one index"),
+        (Cost, {}, "at least one index"),
+        (WorstExcess, {"ivcc": 1.0}, "did you mean 'ivc'"),
+        (WorstExcess, {"ivc": 0.0}, "must be finite and positive"),
+        (WorstExcess, {}, "at least one index"),
     ],
 )
-def test_limits_that_are_none_are_refused(limits, words):
+def test_costs_and_limits_that_are_none_are_refused(kind, values, words):
     with pytest.raises(SettingError, match=words):
-        WorstExcess(limits)
+        kind(values)
 
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=30))

@@ -1,4 +1,4 @@
-"""Whoever moves joints says that they rest; nobody else says so in its place."""
+"""Only the process that moves joints reports that they rest."""
 
 import subprocess
 
