@@ -168,16 +168,6 @@ def test_where_nothing_moves_the_effort_moves_no_faster_than_its_plan(steps):
     assert max(abs(b - a) for a, b in pairwise(efforts)) <= 0.1 + 0.05 * len(steps) + 0.05 + 1e-6
 
 
-def test_a_takeover_begins_with_the_active_effort():
-    loop, joint = pure_loop(**PID), Joint(load=-8.0)
-    loop.follow(held(5.0, 5.0))
-    effort = drive(loop, joint, 3000)[0][-1]
-    joint.stamp_ns += 500 * MS
-    assert drive(loop, joint, 1)[0][0] == pytest.approx(effort, abs=1e-4)
-    assert loop.counts.takeovers == 1
-    assert loop.feedforward_effort == 5.0
-
-
 def test_a_single_stamp_from_the_future_leaves_nothing_behind():
     loop, twin = pure_loop(**PID, **MODEL), pure_loop(**PID, **MODEL)
     for each in (loop, twin):

@@ -182,21 +182,6 @@ def test_where_the_integral_settles_while_the_effort_is_saturated(changes, integ
     assert loop.integral < integral or loop.settings.gains.i == 0.0  # it comes back at once
 
 
-def test_retuning_changes_the_effort_by_no_more_than_the_laws_differ():
-    loop, twin = (hold(loop_on(Setpoint(1.0)), 500, 0.2, 0.1) for _ in range(2))
-    loop.retune(settings(gains=Gains(12.0, 400.0, 2.5)))
-    change = loop.step(500 * MS, 0.2, 0.1) - twin.step(500 * MS, 0.2, 0.1)
-    assert change == pytest.approx(2.0 * 0.8 - 0.5 * 0.1)  # ki does not jump
-
-
-def test_retuning_to_the_homogeneous_law_keeps_the_integral():
-    loop = hold(loop_on(Setpoint(1.0)), 500)
-    integral = loop.integral
-    loop.retune(settings(law="hpid", mu=0.3))
-    effort = loop.step(500 * MS, 0.0, 0.0)
-    assert effort == pytest.approx(10.0 + integral)  # |e| = e_max: the multiplier is one
-
-
 def test_a_loop_cannot_be_retuned_to_another_joint():
     with pytest.raises(SettingError, match="cannot change from 'j' to 'k'"):
         loop_on().retune(settings(joint="k"))
@@ -208,29 +193,6 @@ def test_a_new_trajectory_takes_over_where_the_reference_stands():
     loop.follow(Column("j", (Knot(SECOND, 1.0, 0.0),)))
     loop.step(MS, 0.1, 0.0)
     assert loop.reference[0] == pytest.approx(0.4, abs=1e-9)
-
-
-@pytest.mark.parametrize("law", ["pid", "hpid"])
-def test_semi_implicit_step_holds_a_joint_that_the_explicit_one_loses(law):
-    """Two poles at -150 rad/s and a weak integral, sampled at 10 ms: T kd = 3."""
-
-    def largest_late_error(discretization):
-        gains = Gains(150.0**2, 0.01 * 150.0**3, 300.0)
-        values = {"law": law, "mu": -0.1, "norm__floor": 1e-3, "gains": gains, "inertia": 1.0}
-        values |= {"control_period": 0.01, "discretization": discretization}
-        loop = loop_on(Setpoint(0.5), **values)
-        position = velocity = late = 0.0
-        for k in range(400):
-            effort = loop.step(k * 10 * MS, position, velocity)
-            for _ in range(10):
-                velocity += 1e-3 * min(max(effort, -1e9), 1e9)
-                position += 1e-3 * velocity
-            if k > 300:
-                late = max(late, abs(position - 0.5))
-        return late
-
-    assert largest_late_error("semi_implicit") < 0.01
-    assert not largest_late_error("explicit") < 0.01
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=30))

@@ -216,18 +216,18 @@ DAMPED = Gains(p=100.0, i=50.0, d=40.0)
 VALUES = st.floats(-2.0, 2.0).filter(lambda x: x == 0.0 or abs(x) > 1e-9)
 
 
-def sampled(law, period, duration=1.0, inertia=1.0):
-    """Return times, errors and efforts of a sampled loop, its effort held between the samples."""
+def sampled(law, period):
+    """Return errors and efforts of a sampled loop, its effort held between the samples."""
     error, rate, errors, efforts = 1.0, 0.0, [], []
-    for _ in range(round(duration / period)):
+    for _ in range(round(12.0 / period)):
         errors.append(error)
         efforts.append(law.update(error, rate, period))
-        acceleration = (20.0 - efforts[-1]) / inertia
+        acceleration = 20.0 - efforts[-1]  # of a unit inertia under a load
         error += period * rate + 0.5 * period**2 * acceleration
         rate += period * acceleration
         if abs(error) > 1e6:
             break
-    return period * np.arange(len(errors)), np.array(errors), np.array(efforts)
+    return np.array(errors), np.array(efforts)
 
 
 def explicit(degree, gains=TRIPLE, floor=1e-4):
@@ -260,23 +260,10 @@ def test_the_semi_implicit_law_is_the_law_itself_for_fast_sampling(degree, error
     assert sum(law.terms) == pytest.approx(law.update(error, rate, 0.0), rel=1e-3, abs=1e-3)
 
 
-@pytest.mark.parametrize("degree", [-0.2, 0.0, 0.2])
-def test_error_of_the_semi_implicit_law_is_of_first_order_in_the_period(degree):
-    gains = Gains(*(2.0 * gain for gain in (TRIPLE.p, TRIPLE.i, TRIPLE.d)))
-    times, truth, _ = sampled(explicit(degree, gains), 2e-5, inertia=2.0)
-    worst = []
-    for period in (20e-3, 10e-3, 5e-3):
-        t, errors, _ = sampled(implicit(degree, gains, inertia=2.0), period, inertia=2.0)
-        worst.append(np.abs(errors - np.interp(t, times, truth)).max())
-    assert worst[2] < 0.08
-    assert worst[0] / worst[2] > 2.5
-    assert worst == sorted(worst, reverse=True)
-
-
 @pytest.mark.parametrize("degree", [0.0, 0.2])
 def test_the_semi_implicit_law_settles_where_forward_euler_diverges(degree):
     lost, settled = (
-        sampled(make(degree, DAMPED), 0.055, 12.0)[1][-20:] for make in (explicit, implicit)
+        sampled(make(degree, DAMPED), 0.055)[0][-20:] for make in (explicit, implicit)
     )  # T kd = 2.2
     assert np.abs(lost).max() > 1e3
     assert np.abs(settled).max() < 0.02
@@ -285,8 +272,8 @@ def test_the_semi_implicit_law_settles_where_forward_euler_diverges(degree):
 @pytest.mark.parametrize(("degree", "period"), [(-0.3, 0.01), (-0.3, 0.02), (-0.2, 0.02)])
 def test_the_semi_implicit_law_does_not_chatter_at_rest_where_forward_euler_does(degree, period):
     """Close to the target a negative degree multiplies the gains, and T kd lam is large."""
-    _, _, chatters = sampled(explicit(degree, DAMPED), period, 12.0)
-    _, errors, efforts = sampled(implicit(degree, DAMPED), period, 12.0)
+    _, chatters = sampled(explicit(degree, DAMPED), period)
+    errors, efforts = sampled(implicit(degree, DAMPED), period)
     assert np.ptp(chatters[-20:]) > 10.0
     assert np.ptp(efforts[-20:]) < 0.01 * np.ptp(chatters[-20:])
     assert np.abs(errors[-20:]).max() < 1e-3

@@ -19,6 +19,7 @@ from hpid_ros.control.assembly import (
     make_motion_limits,
     make_velocity_source,
 )
+from hpid_ros.control.homogeneous_pid import SemiImplicitHomogeneousPid
 from hpid_ros.control.settings import (
     MODEL_PARAMETERS,
     PARAMETERS,
@@ -140,13 +141,6 @@ def test_a_group_made_in_python_names_the_parameter_that_it_refuses(kind):
                 kind(**{each.name: value})
 
 
-def test_whole_numbers_become_floats():
-    assert type(Timing(takeover_time=1).takeover_time) is float
-    whole = loop_settings(gains__p=3, norm__cap=2)
-    assert whole == loop_settings(gains__p=3.0, norm__cap=2.0)
-    assert type(whole.gains.p) is float
-
-
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
@@ -207,6 +201,15 @@ def test_a_set_that_cannot_be_is_refused_in_one_line_however_it_is_given(change,
         assert isinstance(refusal.value, HpidError)
         assert isinstance(refusal.value, ValueError)
         assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("law", ["pid", "hpid"])
+def test_the_semi_implicit_step_is_that_of_the_joints_inertia(law):
+    gains = {"gains": Gains(9.0, 1.0, 9.0), "inertia": 0.7}
+    changes = {"law": law, "mu": -0.1, "discretization": "semi_implicit", **gains}
+    made = make_law(loop_settings(**changes))
+    assert type(made) is SemiImplicitHomogeneousPid
+    assert (made.inertia, made.norm.degree) == (0.7, -0.1 if law == "hpid" else 0.0)
 
 
 def test_every_parameter_has_a_description_and_a_range_that_holds_its_default():

@@ -88,15 +88,6 @@ def test_a_wheel_goes_round_without_a_kick(source, low):
     assert loop.reference[0] > 14.0
 
 
-def test_without_it_a_turn_is_a_jump_and_not_a_full_effort():
-    loop = loop_on(Setpoint(3.3), encoder_wrap=0.0)
-    for k in range(200):
-        before = loop.step(k * MS, 2.9 + 1e-3 * k, 1.0)
-    efforts = [loop.step((200 + k) * MS, 3.1 + 1e-3 * k - math.tau, 1.0) for k in range(20)]
-    assert loop.counts.jumps == 1
-    assert max(abs(effort - before) for effort in efforts) < 1.1 * 20.0  # the derivative term
-
-
 @pytest.mark.parametrize("wanted", [6.0, 3.0, -4.0, 20.0])
 @pytest.mark.parametrize(
     ("wrap", "parameters", "takes_shorter_way"),
@@ -120,21 +111,6 @@ def test_the_shorter_way_round_is_taken_where_the_encoder_wraps_or_it_is_asked_f
     loop.step(MS, 0.0, 0.0)
     nearest = math.remainder(wanted, math.tau) if takes_shorter_way else wanted
     assert loop.reference[0] == pytest.approx(nearest, abs=1e-12)
-
-
-def test_from_one_side_of_pi_to_the_other_it_is_not_far():
-    """At 3.1 rad, asked for -3.1: 0.08 rad through pi, and not 6.2 back."""
-    loop = loop_on(encoder_wrap=math.tau)
-    loop.step(0, 3.1, 0.0)
-    loop.follow(Setpoint(-3.1))
-    loop.step(MS, 3.1, 0.0)
-    assert loop.reference[0] == pytest.approx(math.tau - 3.1)
-    loop.follow(
-        Column("j", (Knot(SECOND, 3.1), Knot(2 * SECOND, -3.1)))
-    )  # a whole turn, asked for
-    for k in range(2, 2100):
-        loop.step(k * MS, 3.1, 0.0)
-    assert loop.reference[0] == pytest.approx(-3.1)
 
 
 @given(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0))
