@@ -2,6 +2,33 @@
 
 from hpid_ros.control import JointLoop, LoopSettings
 
+# Another value of each parameter, all of them possible together.
+OTHER_VALUES = {
+    **{"joint": "k", "law": "pid", "gains.p": 30.0, "gains.i": 4.0, "gains.d": 5.0, "mu": 0.1},
+    **{"norm.type": "canonical", "norm.error_scale": 0.3, "norm.rate_weight": 0.2},
+    **{"norm.floor": 0.01, "norm.cap": 50.0, "u_clamp_max": 9.0, "u_clamp_min": -8.0},
+    **{"i_clamp_max": 7.0, "i_clamp_min": -6.0, "antiwindup_strategy": "back_calculation"},
+    **{"tracking_time_constant": 0.4, "velocity_source": "homogeneous_differentiator"},
+    **{"velocity_filter_time_constant": 0.01, "acceleration_bound": 40.0},
+    **{"discretization": "semi_implicit", "encoder_wrap": 6.28, "angle_wraparound": True},
+    **{"position_step_max": 0.2, "effort_rate_max": 300.0, "velocity_max": 3.0},
+    **{"soft_stop.margin": 0.1, "soft_stop.k_position": 4.0, "soft_stop.k_velocity": 3.0},
+    **{"takeover_time": 0.3, "fallback_effort": 1.0, "state_timeout": 0.2},
+    **{"state_clock": "simulated", "control_period": 0.002, "encoder_resolution": 1e-4},
+    **{"inertia": 1.5, "compensation": "gravity", "model.description": "arm.urdf"},
+    **{"model.payload": 2.0, "model.payload_link": "hook", "model.mass_scale": 1.1},
+    **{"model.locked_joints": "a,b", "model.left_wheel": "l", "model.right_wheel": "r"},
+    **{"model.wheel_radius": 0.1, "model.wheel_separation": 0.4},
+    **{"observer.bandwidth": 90.0, "observer.degree": -0.1},
+    **{"observer.innovation_scale": 1e-3, "observer.feed_disturbance": True},
+    **{"feedforward.inertia": 0.4, "feedforward.viscous_friction": 0.1},
+    **{"feedforward.coulomb_friction": 0.5, "feedforward.friction_velocity": 0.02},
+    **{"feedforward.trajectory_effort": False, "model.effort_filter_time_constant": 0.02},
+}
+IN_EFFORT = {"norm.effort_scale": 3.0}  # not beside scales of the joint's own
+STOPS = {"position_max": 2.0, "position_min": -3.0}  # not where angles wrap around
+TURNS = {"multi_turn": True}  # nor this
+
 
 def loop_settings(*, gains=None, **parameters):
     """Return the settings of a joint's loop.

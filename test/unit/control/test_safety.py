@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from harness.examples import examples
-from harness.loops import loop_settings
+from harness.loops import IN_EFFORT, OTHER_VALUES, STOPS, TURNS, loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -320,24 +320,7 @@ MOVING = {
     **{"law": "hpid", "mu": -0.1, "gains.p": 100.0, "gains.i": 50.0, "gains.d": 20.0},
     **{"u_clamp_max": 60.0, "u_clamp_min": -60.0, "inertia": 1.0},
 }
-OTHERS = {
-    **{"law": "pid", "norm.type": "canonical", "velocity_source": "filtered"},
-    **{"antiwindup_strategy": "back_calculation", "discretization": "semi_implicit"},
-    **{"state_clock": "simulated", "angle_wraparound": True},
-    **{"mu": 0.1, "gains.p": 120.0, "gains.i": 60.0, "gains.d": 22.0, "norm.floor": 0.5},
-    **{"norm.cap": 1.0, "norm.error_scale": 0.5, "norm.rate_weight": 0.2, "u_clamp_max": 20.0},
-    **{"u_clamp_min": -20.0, "i_clamp_max": 2.0, "i_clamp_min": -2.0, "encoder_wrap": 6.3},
-    **{"velocity_filter_time_constant": 0.006, "acceleration_bound": 60.0, "inertia": 1.5},
-    **{"tracking_time_constant": 0.3, "position_step_max": 0.2, "effort_rate_max": 1e4},
-    **{"position_max": 9.0, "position_min": -9.0, "velocity_max": 4.0, "soft_stop.margin": 0.1},
-    **{"soft_stop.k_position": 5.0, "soft_stop.k_velocity": 5.0, "takeover_time": 1.0},
-    **{"fallback_effort": 1.0, "state_timeout": 0.2, "control_period": 0.002},
-    **{"encoder_resolution": 1e-3, "norm.effort_scale": 30.0, "multi_turn": True},
-    **{"observer.bandwidth": 120.0, "observer.degree": -0.1, "observer.innovation_scale": 0.01},
-    **{"observer.feed_disturbance": True, "feedforward.inertia": 0.5},
-    **{"feedforward.viscous_friction": 2.0, "feedforward.coulomb_friction": 1.0},
-    **{"feedforward.friction_velocity": 0.02, "feedforward.trajectory_effort": False},
-}
+OTHERS = {**OTHER_VALUES, **IN_EFFORT, **STOPS, **TURNS}
 
 
 @pytest.mark.parametrize("source", ["measured", *WITHOUT_VELOCITIES])

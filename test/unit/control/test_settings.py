@@ -6,7 +6,7 @@ from typing import Literal, get_args, get_origin, get_type_hints
 
 import pytest
 from harness.examples import examples
-from harness.loops import loop_settings
+from harness.loops import IN_EFFORT, OTHER_VALUES, STOPS, TURNS, loop_settings
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -35,32 +35,6 @@ from hpid_ros.control.settings import (
 )
 from hpid_ros.stability.gain_check import kind_of
 
-# Another value of each parameter, all of them possible together.
-OTHERS = {
-    **{"joint": "k", "law": "pid", "gains.p": 30.0, "gains.i": 4.0, "gains.d": 5.0, "mu": 0.1},
-    **{"norm.type": "canonical", "norm.error_scale": 0.3, "norm.rate_weight": 0.2},
-    **{"norm.floor": 0.01, "norm.cap": 50.0, "u_clamp_max": 9.0, "u_clamp_min": -8.0},
-    **{"i_clamp_max": 7.0, "i_clamp_min": -6.0, "antiwindup_strategy": "back_calculation"},
-    **{"tracking_time_constant": 0.4, "velocity_source": "homogeneous_differentiator"},
-    **{"velocity_filter_time_constant": 0.01, "acceleration_bound": 40.0},
-    **{"discretization": "semi_implicit", "encoder_wrap": 6.28, "angle_wraparound": True},
-    **{"position_step_max": 0.2, "effort_rate_max": 300.0, "velocity_max": 3.0},
-    **{"soft_stop.margin": 0.1, "soft_stop.k_position": 4.0, "soft_stop.k_velocity": 3.0},
-    **{"takeover_time": 0.3, "fallback_effort": 1.0, "state_timeout": 0.2},
-    **{"state_clock": "simulated", "control_period": 0.002, "encoder_resolution": 1e-4},
-    **{"inertia": 0.2, "compensation": "gravity", "model.description": "arm.urdf"},
-    **{"model.payload": 2.0, "model.payload_link": "hook", "model.mass_scale": 1.1},
-    **{"model.locked_joints": "a,b", "model.left_wheel": "l", "model.right_wheel": "r"},
-    **{"model.wheel_radius": 0.1, "model.wheel_separation": 0.4},
-    **{"observer.bandwidth": 90.0, "observer.degree": -0.1},
-    **{"observer.innovation_scale": 1e-3, "observer.feed_disturbance": True},
-    **{"feedforward.inertia": 0.4, "feedforward.viscous_friction": 0.1},
-    **{"feedforward.coulomb_friction": 0.5, "feedforward.friction_velocity": 0.02},
-    **{"feedforward.trajectory_effort": False, "model.effort_filter_time_constant": 0.02},
-}
-IN_EFFORT = {"norm.effort_scale": 3.0}  # not beside scales of the joint's own
-STOPS = {"position_max": 2.0, "position_min": -3.0}  # not where angles wrap around
-TURNS = {"multi_turn": True}  # nor this
 SCALES = ("norm.error_scale", "norm.rate_weight")
 GROUPS = [
     *(NormSettings, EffortLimits, IntegralLimits, MotionSettings, SoftStop, Timing),
@@ -104,7 +78,7 @@ def test_every_choice_of_a_parameter_is_one_of_its_fields_and_the_other_way_roun
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_a_parameter_has_a_place_of_its_own(name):
     """It can be changed alone, nothing else changes with it, and it comes back."""
-    value = {**OTHERS, **STOPS, **TURNS, **IN_EFFORT}[name]
+    value = {**OTHER_VALUES, **STOPS, **TURNS, **IN_EFFORT}[name]
     assert value != PARAMETERS[name].default
     beside = {"inertia": 0.2, "gains.p": 20.0, "gains.d": 3.0} | (
         {"model.left_wheel": "L", "model.right_wheel": "R"} if "wheel" in name else {}
@@ -118,9 +92,9 @@ def test_a_parameter_has_a_place_of_its_own(name):
 def test_all_parameters_together_survive_the_round_trip():
     own_scales = {name: PARAMETERS[name].default for name in SCALES}
     for values in (
-        {**OTHERS, **IN_EFFORT, **own_scales},
-        {**OTHERS, **STOPS, **TURNS, "angle_wraparound": False},
-        OTHERS,
+        {**OTHER_VALUES, **IN_EFFORT, **own_scales},
+        {**OTHER_VALUES, **STOPS, **TURNS, "angle_wraparound": False},
+        OTHER_VALUES,
     ):
         found = LoopSettings.from_parameters(values)
         assert found.to_parameters() == {**to_parameters(loop_settings()), **values}
