@@ -1,5 +1,7 @@
 """Joint loops without ROS."""
 
+import math
+
 from hpid_ros.control import JointLoop, LoopSettings
 
 # Another value of each parameter, all of them possible together.
@@ -45,3 +47,32 @@ def loop_settings(*, gains=None, **parameters):
 def pure_loop(**parameters):
     """Return the loop of a joint, see :func:`loop_settings`."""
     return JointLoop(loop_settings(**parameters))
+
+
+class Joint:
+    """A joint of constant inertia under a load and friction, at rest; exact without friction."""
+
+    def __init__(self, inertia, load=0.0, position=0.0, viscous=0.0, coulomb=0.0):
+        self.inertia, self.load, self.viscous, self.coulomb = inertia, load, viscous, coulomb
+        self.position, self.velocity, self.stamp_ns = position, 0.0, 0
+
+    def push(self, effort, dt=1e-3):
+        """Move under an effort for some time in [s]."""
+        steps = 20 if self.viscous or self.coulomb else 1
+        h = dt / steps
+        for _ in range(steps):
+            friction = self.viscous * self.velocity
+            friction += self.coulomb * math.tanh(self.velocity / 1e-3)
+            acceleration = (effort + self.load - friction) / self.inertia
+            self.position += h * (self.velocity + 0.5 * h * acceleration)
+            self.velocity += h * acceleration
+        self.stamp_ns += round(dt * 1e9)
+
+
+def drive(loop, joint, samples, periods=(1e-3,)):
+    """Step the loop on the joint, and return its efforts."""
+    efforts = []
+    for k in range(samples):
+        efforts.append(loop.step(joint.stamp_ns, joint.position, joint.velocity))
+        joint.push(efforts[-1], periods[k % len(periods)])
+    return efforts

@@ -1,10 +1,9 @@
 """What is fed forward: the reference is met with less error, and no effort jumps."""
 
-import math
 from itertools import pairwise
 
 import pytest
-from harness.loops import loop_settings, pure_loop
+from harness.loops import Joint, drive, loop_settings, pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,31 +22,9 @@ MODEL = {
 }
 
 
-class Joint:
-    """A joint with friction, or one under a load."""
-
-    def __init__(self, load=0.0):
-        self.position = self.velocity = 0.0
-        self.coulomb = 0.0 if load else COULOMB
-        self.load, self.stamp_ns = load, 0
-
-    def push(self, effort, steps=20):
-        for _ in range(steps):
-            dry = self.coulomb * math.tanh(self.velocity / 1e-3)
-            rate = (effort + self.load - VISCOUS * self.velocity - dry) / INERTIA
-            self.velocity += rate * 1e-3 / steps
-            self.position += self.velocity * 1e-3 / steps
-        self.stamp_ns += MS
-
-
-def drive(loop, joint, samples):
-    """Step the loop on the joint; return efforts and errors."""
-    efforts, errors = [], []
-    for _ in range(samples):
-        efforts.append(loop.step(joint.stamp_ns, joint.position, joint.velocity))
-        errors.append(abs(loop.error))
-        joint.push(efforts[-1])
-    return efforts, errors
+def joint_of(load=0.0):
+    """Return a joint with friction, or one under a load."""
+    return Joint(INERTIA, load, viscous=VISCOUS, coulomb=0.0 if load else COULOMB)
 
 
 def at_rest(loop, first, last, model=None):
@@ -70,10 +47,10 @@ def test_what_moves_the_joint_is_known_beforehand():
     worst = {}
     inertia = {"feedforward__inertia": INERTIA}
     for name, parts in (("none", {}), ("inertia", inertia), ("all", MODEL)):
-        loop, joint = pure_loop(**PID, **parts), Joint()
+        loop, joint = pure_loop(**PID, **parts), joint_of()
         drive(loop, joint, 10)
         loop.follow(motion())
-        worst[name] = max(drive(loop, joint, 1200)[1])
+        worst[name] = max(abs(loop.error) for _ in range(1200) if drive(loop, joint, 1))
     assert worst["all"] < 0.02 * worst["none"]
     assert worst["all"] < 0.1 * worst["inertia"] < worst["none"]
 
@@ -88,16 +65,16 @@ def test_planned_efforts_are_given_linearly_between_the_points():
 
 
 def test_a_planned_weight_takes_the_place_of_the_integral_that_held_it():
-    loop, joint = pure_loop(**PID), Joint(load=-8.0)
+    loop, joint = pure_loop(**PID), joint_of(load=-8.0)
     loop.follow(Setpoint(0.0))
-    before = drive(loop, joint, 3000)[0][-1]
+    before = drive(loop, joint, 3000)[-1]
     assert loop.integral == pytest.approx(before, abs=1e-3)
     loop.follow(held(8.0, 8.0))
-    efforts, _ = drive(loop, joint, 300)
+    efforts = drive(loop, joint, 300)
     assert efforts == pytest.approx([before] * 300, abs=1e-3)
     assert (loop.feedforward_effort, loop.integral) == (8.0, pytest.approx(before - 8.0, abs=1e-3))
     loop.follow(held(None, None))
-    assert drive(loop, joint, 300)[0] == pytest.approx(efforts, abs=1e-3)
+    assert drive(loop, joint, 300) == pytest.approx(efforts, abs=1e-3)
     assert loop.feedforward_effort == 0.0
 
 

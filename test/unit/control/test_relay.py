@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from harness.loops import Joint
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import JointLoop, LoopSettings
@@ -21,29 +22,24 @@ LEAD = 0.1
 ASKED = RelayRequest(amplitude=2.0, hysteresis=0.08, deviation=0.4, cycles=6, duration=15.0)
 
 
-class Joint:
+class HeldJoint(Joint):
     """A loop on a joint with viscous friction and a load, at rest and held at first."""
 
     def __init__(self, law="pid", **changes):
+        super().__init__(INERTIA, -LOAD, viscous=VISCOUS)
         gains = {"gains.p": 40.0, "gains.i": 133.0, "gains.d": 4.0, "law": law}
         limits = {"u_clamp_max": 15.0, "u_clamp_min": -15.0}
         values = {"joint": "elbow", "control_period": PERIOD, **gains, **limits, **changes}
         self.loop = JointLoop(LoopSettings.from_parameters(values))
-        self.position = self.velocity = 0.0
-        self.k = 0
         self.rows = []
         self.run(2.5)
         self.rows.clear()
 
     def step(self):
-        now = self.k * PERIOD
-        effort = self.loop.step(round(now * 1e9), self.position, self.velocity)
-        self.rows.append((now, self.position, self.velocity, effort))
-        for _ in range(4):
-            force = effort - LOAD - VISCOUS * self.velocity
-            self.velocity += force / INERTIA * PERIOD / 4.0
-            self.position += self.velocity * PERIOD / 4.0
-        self.k += 1
+        now = self.stamp_ns * 1e-9, self.position, self.velocity
+        effort = self.loop.step(self.stamp_ns, self.position, self.velocity)
+        self.rows.append((*now, effort))
+        self.push(effort, PERIOD)
         return effort
 
     def run(self, duration):
@@ -54,16 +50,16 @@ class Joint:
         self.loop.begin_relay(replace(ASKED, **changes))
 
     def until_over(self, within=LONGEST):
-        begun = self.k
+        begun_ns = self.stamp_ns
         while not self.loop.relay.is_over:
             self.step()
-            assert (self.k - begun) * PERIOD <= within
+            assert (self.stamp_ns - begun_ns) * 1e-9 <= within
         return np.array(self.rows).T
 
 
 @pytest.mark.parametrize(("law", "mu"), [("pid", 0.0), ("hpid", -0.1)])
 def test_a_relay_makes_a_limit_cycle_begins_and_ends_without_a_jump_and_the_joint_is_held(law, mu):
-    joint = Joint(law, mu=mu)
+    joint = HeldJoint(law, mu=mu)
     joint.run(0.1)
     joint.begin()
     _, position, _, effort = joint.until_over()
@@ -83,7 +79,7 @@ def test_a_relay_makes_a_limit_cycle_begins_and_ends_without_a_jump_and_the_join
 
 
 def test_limits_hold_while_a_relay_is_active():
-    joint = Joint(u_clamp_max=3.5, u_clamp_min=-3.5, velocity_max=0.6, position_max=0.2)
+    joint = HeldJoint(u_clamp_max=3.5, u_clamp_min=-3.5, velocity_max=0.6, position_max=0.2)
     joint.begin()
     _, position, velocity, effort = joint.until_over()
     assert np.abs(effort).max() <= 3.5
@@ -106,7 +102,7 @@ def test_limits_hold_while_a_relay_is_active():
     ],
 )
 def test_whatever_comes_in_between_ends_a_relay(act, reason, is_at_once):
-    joint = Joint()
+    joint = HeldJoint()
     joint.begin()
     joint.run(0.7)
     act(joint.loop)
@@ -121,11 +117,11 @@ def test_whatever_comes_in_between_ends_a_relay(act, reason, is_at_once):
 
 
 def test_a_gap_ends_a_relay_and_the_takeover_has_no_jump():
-    joint = Joint()
+    joint = HeldJoint()
     joint.begin()
     joint.run(0.7)
     before = joint.loop.effort
-    joint.k += round(0.5 / PERIOD)
+    joint.stamp_ns += 500_000_000
     joint.velocity = 0.0
     assert joint.step() == pytest.approx(before, abs=1e-9)
     assert joint.loop.relay.ending == "the joint was taken over anew"
@@ -141,7 +137,7 @@ def test_a_gap_ends_a_relay_and_the_takeover_has_no_jump():
     ],
 )
 def test_a_relay_that_goes_too_far_or_too_long_gives_the_joint_back(changes, reason):
-    joint = Joint()
+    joint = HeldJoint()
     joint.begin(**changes)
     joint.run(0.6)
     joint.velocity += 1.5  # a push
@@ -152,17 +148,17 @@ def test_a_relay_that_goes_too_far_or_too_long_gives_the_joint_back(changes, rea
 
 
 def test_a_relay_that_does_not_move_the_joint_ends():
-    joint = Joint()
+    joint = HeldJoint()
     joint.begin()
     while not joint.loop.relay.is_over:
         joint.step()
         joint.position = joint.velocity = 0.0  # as by friction
     assert joint.loop.relay.ending == "it did not move the joint within 5 s"
-    assert joint.k * PERIOD < 2.5 + 7.0
+    assert joint.stamp_ns * 1e-9 < 2.5 + 7.0
 
 
 def test_a_relay_is_refused_where_it_cannot_be_safe():
-    joint = Joint()
+    joint = HeldJoint()
     with pytest.raises(SettingError, match="not within the effort limits, -15 and 15 N m"):
         joint.begin(amplitude=14.5)
     joint.begin()
@@ -171,7 +167,7 @@ def test_a_relay_is_refused_where_it_cannot_be_safe():
     with pytest.raises(SettingError, match="waiting for the first state"):
         JointLoop(joint.loop.settings).begin_relay(ASKED)
     with pytest.raises(SettingError, match="no relay now"):
-        Joint(**{"gains.d": 0.0, "gains.i": 0.0, "gains.p": 5.0}).begin()
+        HeldJoint(**{"gains.d": 0.0, "gains.i": 0.0, "gains.p": 5.0}).begin()
 
 
 @pytest.mark.parametrize(
@@ -187,7 +183,7 @@ def test_what_is_no_relay_is_refused(name, value):
 
 
 def test_without_a_relay_every_effort_is_the_law_s_to_the_bit():
-    plain, after = Joint(), Joint()
+    plain, after = HeldJoint(), HeldJoint()
     after.begin()
     after.loop.end_relay("at once")
     after.run(0.1)
@@ -197,7 +193,7 @@ def test_without_a_relay_every_effort_is_the_law_s_to_the_bit():
 
 @pytest.mark.parametrize("amplitude", [1.0, 2.0, 4.0])
 def test_a_limit_cycle_tells_the_inertia(amplitude):
-    joint = Joint()
+    joint = HeldJoint()
     joint.begin(amplitude=amplitude)
     time, position, _, effort = joint.until_over()
     record = JointRecord("elbow", time, position, time, effort)
