@@ -44,9 +44,12 @@ def loop_settings(*, gains=None, **parameters):
     return LoopSettings.from_parameters(values)
 
 
-def pure_loop(**parameters):
-    """Return the loop of a joint, see :func:`loop_settings`."""
-    return JointLoop(loop_settings(**parameters))
+def pure_loop(motion=None, **parameters):
+    """Return the loop of a joint, see :func:`loop_settings`, which follows a motion."""
+    loop = JointLoop(loop_settings(**parameters))
+    if motion is not None:
+        loop.follow(motion)
+    return loop
 
 
 class Joint:

@@ -21,7 +21,7 @@ from hpid_ros.motion import Column, Knot
 pytestmark = pytest.mark.slow
 
 MS = 1_000_000
-ROUNDS, MESSAGES = 10, 5000
+ROUNDS, MESSAGES = 10, 4000
 
 
 def settings(**changes):

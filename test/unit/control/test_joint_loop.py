@@ -3,12 +3,12 @@
 import math
 
 import pytest
-from harness.loops import loop_settings
+from harness.loops import loop_settings, pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control import Gains, JointLoop
+from hpid_ros.control import Gains
 from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
@@ -17,16 +17,15 @@ MS = 1_000_000
 SECOND = 1000 * MS
 
 
+VALUES = {"joint": "j", "gains": Gains(10.0, 4.0, 2.0), "law": "pid"}
+
+
 def settings(**changes):
-    values = {"joint": "j", "gains": Gains(10.0, 4.0, 2.0), "law": "pid"}
-    return loop_settings(**{**values, **changes})
+    return loop_settings(**VALUES | changes)
 
 
 def loop_on(motion=None, **changes):
-    loop = JointLoop(settings(**changes))
-    if motion:
-        loop.follow(motion)
-    return loop
+    return pure_loop(motion, **VALUES | changes)
 
 
 def hold(loop, count, position=0.0, velocity=0.0):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from harness.examples import examples
-from harness.loops import IN_EFFORT, OTHER_VALUES, STOPS, TURNS, loop_settings
+from harness.loops import IN_EFFORT, OTHER_VALUES, STOPS, TURNS, loop_settings, pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,16 +23,15 @@ MOTIONS = [None, Setpoint(1.0), RAMP]
 WITHOUT_VELOCITIES = ["filtered", "homogeneous_differentiator", "observer"]
 
 
+VALUES = {"joint": "j", "gains": Gains(100.0, 50.0, 20.0), "law": "pid"}
+
+
 def settings(**changes):
-    values = {"joint": "j", "gains": Gains(100.0, 50.0, 20.0), "law": "pid"}
-    return loop_settings(**{**values, **changes})
+    return loop_settings(**VALUES | changes)
 
 
 def loop_on(motion=None, **changes):
-    loop = JointLoop(settings(**changes))
-    if motion:
-        loop.follow(motion)
-    return loop
+    return pure_loop(motion, **VALUES | changes)
 
 
 def run(loop, first_ms, last_ms, position):
@@ -460,7 +459,7 @@ def test_a_mass_on_the_stop_never_passes_it_by_more_than_the_stated_bound(
 @pytest.mark.parametrize("law", ["pid", "hpid"])
 def test_a_loop_sent_beyond_the_stop_holds_a_load_on_it(law):
     loop = JointLoop(limited(law=law, mu=-0.1, position_max=0.5))
-    loop.follow(Column("j", (Knot(0, 0.0, 0.0), Knot(1000 * MS, 3.0, 0.0))))
+    loop.follow(Column("j", (Knot(0, 0.0, 0.0), Knot(SECOND, 3.0, 0.0))))
     track = move(loop.step, 8.0, load=20.0)
     assert max(track[:, 0]) < 0.5 + 20.0 / (7.5 * 30.0) + 0.01
     assert loop.reference == (0.5, 0.0)

@@ -3,11 +3,11 @@
 import math
 
 import pytest
-from harness.loops import loop_settings
+from harness.loops import loop_settings, pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.control import Gains, JointLoop
+from hpid_ros.control import Gains
 from hpid_ros.control.reference import Setpoint, whole_turns
 from hpid_ros.control.velocity import Unwrapper
 from hpid_ros.motion import Column, Knot
@@ -19,16 +19,15 @@ SECOND = 1000 * MS
 TURN = Column("j", (Knot(0, 0.0, 3.0), Knot(20 * SECOND, 60.0, 3.0)), stamp_ns=1)
 
 
+VALUES = {"joint": "j", "gains": Gains(100.0, 50.0, 20.0), "law": "pid"}
+
+
 def settings(**changes):
-    values = {"joint": "j", "gains": Gains(100.0, 50.0, 20.0), "law": "pid"}
-    return loop_settings(**{**values, **changes})
+    return loop_settings(**VALUES | changes)
 
 
 def loop_on(motion=None, **changes):
-    loop = JointLoop(settings(**changes))
-    if motion:
-        loop.follow(motion)
-    return loop
+    return pure_loop(motion, **VALUES | changes)
 
 
 @given(

@@ -227,10 +227,7 @@ FIGURES = {
 
 
 def loop_of(motion=None, **changes):
-    loop = pure_loop(**{**VALUES, **changes})
-    if motion is not None:
-        loop.follow(motion)
-    return loop
+    return pure_loop(motion, **VALUES | changes)
 
 
 def joint_of(load=0.0, inertia=INERTIA):
