@@ -58,7 +58,6 @@ NODE_PARAMETERS = frozenset(
         "certify",
         "claim",
         "command_interface",
-        "compensation",
         "cpu_affinity",
         "introspection_rate",
         "qos_overrides",

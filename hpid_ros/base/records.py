@@ -116,10 +116,6 @@ class Section:
         """Return a text that is not empty."""
         return _text(self.take(key, default), self.place(key), self.error)
 
-    def flag(self, key: str, default: Any = _MISSING) -> bool:
-        """Return true or false."""
-        return _flag(self.take(key, default), self.place(key), self.error)
-
     def section(self, key: str, default: Any = _MISSING) -> Section:
         """Return a mapping inside this one."""
         return Section(self.take(key, default), self.place(key), self.error)

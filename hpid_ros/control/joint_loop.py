@@ -174,9 +174,8 @@ class JointLoop:
             against = str(self.state.value)
         elif self._following.velocity or self._following.acceleration:
             against = "the reference moves"
-        against = against or relay_obstacle(
-            request, gains, self.settings.effort, law.integral + law.model_effort, self.error
-        )
+        load = law.integral + law.model_effort + self._feedforward.effort
+        against = against or relay_obstacle(request, gains, self.settings.effort, load, self.error)
         if against:
             raise SettingError(f"no relay now: {against}")
         self.relay = law.relay = Relay(request, gains.d / gains.p)

@@ -206,7 +206,11 @@ MODELLED = {
         ("joint_controller", {"joint": "a", "command_interface": "can"}, "command_interface"),
         ("joint_controller", {"joint": "a", "compensation": "gravity"}, "description is empty"),
         ("joint_controller", {"joint": "a", "cpu_affinity": "[4096]"}, "4096"),
-        ("joint_controller", {"joint": "a", "realtime_priority": 100}, "[0, 99], not 100"),
+        (
+            "joint_controller",
+            {"joint": "a", "realtime_priority": 100},
+            "at least 0 and at most 99, not 100",
+        ),
         ("joint_controller", {**MODELLED, "model.locked_joints": "arm_joint_3"}, "lacks it"),
         ("joint_controller", {**MODELLED, "model.left_wheel": "wheel_left_joint"}, "right_wheel"),
         ("joint_controller", {**MODELLED, **HOOK}, "hook"),

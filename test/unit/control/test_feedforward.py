@@ -7,7 +7,9 @@ from harness.loops import Joint, drive, loop_settings, pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.control import ModelTerm
+from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
 from hpid_ros.robot.description import RobotLimits
@@ -179,3 +181,19 @@ def test_what_is_described_is_taken():
     loop.follow(Column("elbow", (Knot(0, 0.0, 0.0, 2.0), Knot(SECOND, 1.0, 0.0, 0.0)), stamp_ns=1))
     at_rest(loop, 0, 2)
     assert loop.feedforward_effort == pytest.approx(0.3 * 2.0, abs=0.02)
+
+
+def test_a_relay_is_refused_where_a_planned_effort_leaves_it_no_room():
+    request = RelayRequest(5.0, 0.05, 0.4, 3, 10.0)
+    for planned, is_refused in ((8.0, True), (4.0, False)):
+        limits = {"u_clamp_max": 10.0, "u_clamp_min": -10.0}
+        loop = pure_loop(
+            held(planned, planned), takeover_time=0.0, gains__p=5.0, gains__d=1.0, **limits
+        )
+        at_rest(loop, 0, 200)
+        assert loop.effort == pytest.approx(planned)
+        if is_refused:
+            with pytest.raises(SettingError, match="not within the effort limits"):
+                loop.begin_relay(request)
+        else:
+            loop.begin_relay(request)

@@ -6,9 +6,12 @@ import pytest
 from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.names import is_for, node_sections
+from hpid_ros.base.names import NODE_PARAMETERS, is_for, node_sections
+from hpid_ros.base.records import names_of
 from hpid_ros.control.controller_files import settings_from_parameters
+from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.nodes.core.services import as_declared, require_known
+from hpid_ros.nodes.joint_controller import RECORDS
 
 T = Parameter.Type
 
@@ -121,3 +124,10 @@ def test_a_parameter_that_no_node_has_to_which_it_was_given_is_one_line_of_that_
     with pytest.raises(SettingError) as refused:
         require_known(nodes)
     assert str(refused.value) == said
+
+
+def test_a_controllers_own_parameters_are_known_where_files_are_read():
+    """The room that reads files knows no node, so the names stand there once more."""
+    own = {name for name in names_of(*RECORDS) if name not in PARAMETERS}
+    of_rclpy = {"qos_overrides", "start_type_description_service", "use_sim_time"}
+    assert own | of_rclpy == NODE_PARAMETERS
