@@ -25,7 +25,7 @@ from hpid_ros.base.errors import RunError
 from hpid_ros.experiment import graph_run
 from hpid_ros.experiment import processes as node_process
 from hpid_ros.experiment.graph_run import GraphNodes, GraphOptions
-from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.experiment.in_process import NoProgress
 
 _WITHOUT_EVENTS = Path(__file__).parent / "without_events_executor"
 _PRIORITY = 50

@@ -21,10 +21,11 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from hpid_ros.base.files import find_resource
-from hpid_ros.experiment.batch import Runner, RunTask, in_processes
+from hpid_ros.experiment.batch import Runner, RunTask, run_batch
 from hpid_ros.experiment.cluster import Cluster, pack
 from hpid_ros.experiment.description import load_experiment
 
@@ -59,9 +60,9 @@ def dask_processes(workers: int) -> Iterator[str]:
 
 def seconds(run: Runner, tasks: Sequence[RunTask]) -> float:
     """Return how long tasks take, after one that lets everything be loaded."""
-    list(run(tasks[:2]))
+    list(run(dict(enumerate(tasks[:2]))))
     begin = time.perf_counter()
-    assert all(outcome.indices for outcome in run(tasks))
+    assert all(record.numbers for _, record in run(dict(enumerate(tasks))))
     return time.perf_counter() - begin
 
 
@@ -90,7 +91,7 @@ def main() -> None:
         path = find_resource(f"config/experiments/{name}.yaml")
         experiment = load_experiment(path, "mujoco")
         (task,), parcel = pack([RunTask.of(experiment, "hPID")])
-        size = sum(map(len, parcel.files.values()))
+        size = sum(map(len, parcel.values()))
         print(f"{name}: a task {len(pickle.dumps(task))} bytes, once {size} bytes of files")
     experiment = load_experiment(find_resource("config/experiments/paper.yaml"), "mujoco")
     task = RunTask.of(experiment, "hPID")
@@ -103,7 +104,7 @@ def main() -> None:
         ratios = []
         with dask_processes(count) as address, Cluster(address) as cluster:
             for _ in range(options.rounds):
-                far, near = seconds(cluster, tasks), seconds(in_processes(count), tasks)
+                far, near = seconds(cluster, tasks), seconds(partial(run_batch, jobs=count), tasks)
                 ratios.append(near / far)
                 extra = (far - near) * count / len(tasks)
                 print(

@@ -15,7 +15,7 @@ from benchmarks.ours_graph import run_checked, run_ours, timing_of
 from benchmarks.tracking import tracking
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_run import GraphOptions
-from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.experiment.in_process import NoProgress
 from hpid_ros.simulation.settings import installed_engines
 
 LABEL = "hPID"

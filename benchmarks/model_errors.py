@@ -22,9 +22,10 @@ from hpid_ros.experiment.batch import (
     LAST_ERROR,
     RunTask,
     WorldKeeper,
-    simulated_indices,
+    simulated,
 )
 from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.robot.description import RobotDescription
 
 MASS_ERROR = 0.2
@@ -125,16 +126,9 @@ def _knows_no_model(experiment: Experiment, label: str) -> bool:
 
 
 def _row(case: Case, label: str, of: RunTask, keeper: WorldKeeper) -> str:
-    indices = simulated_indices(of, keeper)
-    totals = indices.totals
-    numbers = (
-        f"{totals.ivc:.0f}",
-        f"{totals.iavc:.2f}",
-        f"{totals.itae:.4f}",
-        f"{indices.effort_l2:.3f}",
-        f"{indices.error_l2:.4f}",
-        f"{totals.further[LAST_ERROR.key]:.5f}",
-    )
+    record = simulated(of, keeper)
+    digits = dict(zip((*PAPER, LAST_ERROR), (0, 2, 4, 3, 4, 5), strict=True))
+    numbers = [f"{record.value(quantity):.{each}f}" for quantity, each in digits.items()]
     return f"| {case.name or 'as the model says'} | {label} | " + " | ".join(numbers) + " |"
 
 

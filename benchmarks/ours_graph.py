@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Reader
 from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph
-from hpid_ros.experiment.progress import Progress, RunReport, RunTiming
+from hpid_ros.experiment.in_process import Progress, RunReport, RunTiming
 
 
 class Clock:

@@ -28,8 +28,7 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.base.files import find_resource
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.in_process import controllers_text, run_without_ros
-from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.experiment.in_process import NoProgress, controllers_text, run_without_ros
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory

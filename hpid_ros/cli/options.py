@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from hpid_ros.control.controller_files import ParameterFile
     from hpid_ros.control.settings import LoopSettings
-    from hpid_ros.experiment.batch import Outcome, Runner
+    from hpid_ros.experiment.batch import Runner, RunRecord
     from hpid_ros.experiment.description import Experiment
     from hpid_ros.experiment.result_folder import ResultFolder
     from hpid_ros.messages.selection import BagSelection, Reference
@@ -145,12 +146,12 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
 @contextmanager
 def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Runner]:
     """Give what runs a batch: processes of this machine, or the workers of a scheduler."""
-    from hpid_ros.experiment.batch import in_processes
+    from hpid_ros.experiment.batch import run_batch
 
     if options.scheduler is None:
         if options.jobs is not None and options.jobs < 1:
             raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
-        yield in_processes(options.jobs)
+        yield partial(run_batch, jobs=options.jobs)
         return
     from hpid_ros.experiment.cluster import Cluster
 
@@ -222,14 +223,14 @@ def joint_progress(
 
 
 @contextmanager
-def run_progress(console: Console, runs: int) -> Iterator[Callable[[Outcome], None]]:
+def run_progress(console: Console, runs: int) -> Iterator[Callable[[RunRecord], None]]:
     """Show the progress of runs and how many have failed."""
     failures = 0
     with progress(console, "runs", runs) as advanced:
 
-        def ended(outcome: Outcome) -> None:
+        def ended(record: RunRecord) -> None:
             nonlocal failures
-            failures += bool(outcome.failure)
+            failures += bool(record.failure)
             advanced(f"[yellow]{failures} failed" if failures else "")
 
         yield ended

@@ -5,14 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
 
 from hpid_ros.base.console import TextConsole
-from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.progress import RunReport
 from hpid_ros.report.table import UNLIMITED_WIDTH, TableColumn, WideTable
+
+if TYPE_CHECKING:
+    from hpid_ros.experiment.description import Experiment
+    from hpid_ros.experiment.in_process import RunReport
 
 
 def output_console() -> TextConsole:

@@ -6,28 +6,24 @@ import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import HpidError, SettingError
-from hpid_ros.base.processes import processors, raise_if_interrupted, side_by_side
+from hpid_ros.base.errors import HpidError
+from hpid_ros.base.processes import raise_if_interrupted, side_by_side
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.messages.series import RunSeries, complete_run
 from hpid_ros.metrics.comparison import ratio
-from hpid_ros.metrics.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, Fold, Quantity
-from hpid_ros.metrics.results import JointIndices, RunIndices, run_indices
+from hpid_ros.metrics.quantities import CHATTER, ERROR_MAX, OVERSHOOT, PAPER, Fold, Quantity
+from hpid_ros.metrics.results import run_indices
 from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.engine import record_run
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
-
-PAPER_QUANTITIES = (IVC, IAVC, ITAE, EFFORT_L2, ERROR_L2)
-"""The indices of the paper's Table I."""
 
 LAST = 1.0
 """How much of the end of a run is looked at, in [s]; all of a shorter one."""
@@ -35,6 +31,23 @@ LAST = 1.0
 LAST_ERROR = Quantity(
     "last_error", "last |e|", "rad", "largest error of the last second", Fold.WORST, 1
 )
+QUANTITIES: tuple[Quantity, ...] = (*PAPER, OVERSHOOT, ERROR_MAX, CHATTER, LAST_ERROR)
+"""What is kept of a run."""
+
+TOTAL = ""
+"""Stands for all judged joints where a joint's name would be."""
+
+
+class RunRecord(NamedTuple):
+    """What is kept of a run: its numbers, or why it has none."""
+
+    # of each joint, and of all under TOTAL, by the quantity's key; undefined ones are left out
+    numbers: Mapping[str, Mapping[str, float]]
+    failure: str = ""  # why it failed, in one line; empty if it did not
+
+    def value(self, quantity: Quantity) -> float:
+        """Return one number of all judged joints; nan if it is not defined."""
+        return self.numbers[TOTAL].get(quantity.key, math.nan)
 
 
 @dataclass(frozen=True)
@@ -65,17 +78,12 @@ class RunTask:
         world: WorldSettings | None = None,
     ) -> RunTask:
         """Return a run of an experiment with another seed, other loops, and perhaps robot."""
-        return cls(
-            f"{name} seed={seed}",
-            replace(world or experiment.world, seed=seed),
-            loops,
-            experiment.trajectory,
-            experiment.periods,
-            joints,
-        )
+        world = replace(world or experiment.world, seed=seed)
+        label = f"{name} seed={seed}"
+        return cls(label, world, loops, experiment.trajectory, experiment.periods, joints)
 
-    def numbers(self, run: RunSeries) -> RunIndices:
-        """Return the indices of the run that this task made, and :data:`LAST_ERROR`."""
+    def record(self, run: RunSeries) -> RunRecord:
+        """Return the numbers of the run that this task made."""
         if self.joints:
             chosen = tuple(series for series in run.joints if series.joint in self.joints)
             run = RunSeries(run.label, chosen)
@@ -84,16 +92,13 @@ class RunTask:
         for series in run.joints:
             is_last = series.time >= series.time[-1] - LAST
             last[series.joint] = float(np.abs(series.error[is_last]).max())
-        return replace(
-            indices,
-            joints={joint: _with(each, last[joint]) for joint, each in indices.joints.items()},
-            totals=_with(indices.totals, max(last.values())),
-            quantities=(*indices.quantities, LAST_ERROR),
-        )
-
-
-def _with(indices: JointIndices, last: float) -> JointIndices:
-    return replace(indices, further={**indices.further, LAST_ERROR.key: last})
+        last[TOTAL] = max(last.values())
+        numbers = {}
+        for joint in (*indices.joints, TOTAL):
+            values = {q.key: indices.value(q, joint or None) for q in QUANTITIES[:-1]}
+            values[LAST_ERROR.key] = last[joint]
+            numbers[joint] = {key: value for key, value in values.items() if value == value}
+        return RunRecord(numbers)
 
 
 class WorldKeeper:
@@ -144,91 +149,54 @@ def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
         raise
 
 
-def simulated_indices(task: RunTask, keeper: WorldKeeper) -> RunIndices:
+def simulated(task: RunTask, keeper: WorldKeeper) -> RunRecord:
     """Run a task and return its numbers.
 
     They equal those that ``hpid compare`` computes from its bags, to the last bit.
     """
-    return task.numbers(simulate(task, keeper))
+    return task.record(simulate(task, keeper))
 
 
-_keeper = WorldKeeper()
-"""Of a worker process, which runs one task after the other."""
+def attempted(task: RunTask, keeper: WorldKeeper) -> RunRecord:
+    """Run a task and return its numbers, or why it has none, whatever that is."""
+    try:
+        return simulated(task, keeper)
+    except HpidError as error:
+        return RunRecord({}, str(error))
+    except Exception as error:  # one bad run of a thousand is named; the others are wanted
+        return RunRecord({}, " ".join(f"{type(error).__name__}: {error}".split()))
 
 
-class Outcome(NamedTuple):
-    place: int  # its task's place among the tasks
-    indices: RunIndices | None  # its numbers; None if the run failed
-    failure: str = ""  # why it failed, in one line; empty if it did not
+Records = Generator[tuple[Any, RunRecord], None, None]
 
-
-Outcomes = Generator[Outcome, None, None]
-
-Runner = Callable[[Sequence[RunTask]], Outcomes]
+Runner = Callable[[Mapping[Any, RunTask]], Records]
 """Runs tasks, as :func:`run_batch` does; wherever that is, the numbers are the same."""
 
-
-def in_processes(jobs: int | None) -> Runner:
-    if jobs is not None and jobs < 1:
-        raise SettingError(f"jobs must be at least 1, not {jobs}")
-    return partial(run_batch, jobs=jobs)
+_keeper = WorldKeeper()
+"""Of this process, which runs one task after the other."""
 
 
-def run_batch(tasks: Sequence[RunTask], jobs: int | None = None) -> Outcomes:
-    """Run tasks and give their outcomes as they finish.
+def _work(task: RunTask) -> RunRecord:
+    return attempted(task, _keeper)
+
+
+def run_batch(tasks: Mapping[Any, RunTask], jobs: int | None = None) -> Records:
+    """Run tasks and give the key and record of each as it finishes.
 
     The numbers of a task depend on nothing but the task: neither on how many processes there
-    are nor on the order. A run that fails is an outcome with its reason, and the others go on;
-    a process that dies ends the batch. Whatever ends the iteration, an interrupt included, ends
+    are nor on the order. A run that fails has its reason in its record, and the others go on; a
+    process that dies ends the batch. Whatever ends the iteration, an interrupt included, ends
     all processes at once; close the generator when leaving it early.
     """
-    jobs = processors() if jobs is None else jobs
-    if min(jobs, len(tasks)) <= 1:
-        with WorldKeeper() as keeper:
-            for place, task in enumerate(tasks):
-                raise_if_interrupted()
-                yield outcome_of(place, task, keeper)
-        return
-    numbered = list(enumerate(tasks))
-    work = side_by_side(_work, numbered, jobs, name=lambda each: each[1].label)
-    with closing(work):
-        for _, outcome in work:
-            yield outcome
-
-
-def _work(numbered: tuple[int, RunTask]) -> Outcome:
-    return outcome_of(*numbered, _keeper)
-
-
-def outcome_of(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:
-    """Run a task and return what became of it, whatever that is."""
+    keys = tuple(tasks)
+    runs = side_by_side(_work, tuple(tasks.values()), jobs, name=lambda task: task.label)
     try:
-        return Outcome(place, simulated_indices(task, keeper))
-    except HpidError as error:
-        return Outcome(place, None, str(error))
-    except Exception as error:  # one bad run of a thousand is named; the others are wanted
-        line = " ".join(f"{type(error).__name__}: {error}".split())
-        return Outcome(place, None, line)
-
-
-TOTAL = ""
-"""Stands for all judged joints where a joint's name would be."""
-
-JointNumbers = Mapping[str, Mapping[str, float]]
-"""Of each joint, and of all under :data:`TOTAL`, by the quantity's key."""
-
-
-def joint_numbers(
-    indices: RunIndices | None, quantities: Sequence[Quantity] = PAPER_QUANTITIES
-) -> JointNumbers:
-    """Return the numbers of a run without those that are not defined; none of one that failed."""
-    if indices is None:
-        return {}
-    found = {}
-    for joint in (*indices.joints, None):
-        values = {q.key: indices.value(q, joint) for q in quantities}
-        found[TOTAL if joint is None else joint] = {k: v for k, v in values.items() if v == v}
-    return found
+        with closing(runs):
+            for place, record in runs:
+                yield keys[place], record
+                raise_if_interrupted()
+    finally:
+        _keeper.close()
 
 
 class Quartiles(NamedTuple):
@@ -250,11 +218,6 @@ class Quartiles(NamedTuple):
     def as_mapping(self) -> dict[str, float | None]:
         """Return them for JSON, which knows no infinity."""
         return {k: v if math.isfinite(v) else None for k, v in self._asdict().items()}
-
-
-class RunRecord(NamedTuple):
-    numbers: JointNumbers
-    failure: str = ""  # why it failed, in one line; empty if it did not
 
 
 RowKey = tuple[object, ...]

@@ -1,4 +1,4 @@
-"""Batches on the workers of a Dask scheduler: tasks out, outcomes as they come.
+"""Batches on the workers of a Dask scheduler: tasks out, records as they come.
 
 A task travels with the files of its robots, and a worker checks that it computes as the client
 would before it runs one. joblib's backend for Dask is not used: what it scatters is gone with the
@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import atexit
 import hashlib
-import queue
 import re
 import shutil
 import tempfile
@@ -18,7 +17,7 @@ import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,96 +25,70 @@ from xml.etree import ElementTree
 
 import hpid_ros
 from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.base.files import write_file
 from hpid_ros.base.processes import raise_if_interrupted
-from hpid_ros.control.settings import LoopSettings
-from hpid_ros.experiment.batch import Outcome, Outcomes, RunTask, WorldKeeper, outcome_of
+from hpid_ros.experiment.batch import Records, RunRecord, RunTask, WorldKeeper, attempted
 from hpid_ros.experiment.result_folder import versions
 from hpid_ros.robot.description import RobotDescription, find_mesh
 
-_PARCEL = "parcel:"
-
-Naming = Callable[[str | Path], str]
-
-
-@dataclass(frozen=True)
-class Parcel:
-    """Files that runs need."""
-
-    files: Mapping[str, bytes]  # contents by name; a name tells its content
-
-    @property
-    def name(self) -> str:
-        """A name that tells what is in it."""
-        return _digest(" ".join(sorted(self.files)).encode())
+Parcel = dict[str, bytes]
+"""Files that runs need: contents by name, which tells its content."""
 
 
 def pack(tasks: Sequence[RunTask]) -> tuple[list[RunTask], Parcel]:
-    """Put the robots of runs into a parcel."""
-    files: dict[str, bytes] = {}
-    known: dict[str, str] = {"": ""}
+    """Put the robots of runs into a parcel, and let the runs name them by their names there."""
+    parcel: Parcel = {}
 
-    def name(robot: str | Path) -> str:
-        key = str(robot)
-        if key not in known:
-            known[key] = _PARCEL + _put(RobotDescription.load(robot), files)
-        return known[key]
+    @cache
+    def name(robot: str) -> str:
+        return _put(RobotDescription.load(robot), parcel)
 
-    packed = [_with_robots(task, name) for task in tasks]
-    return packed, Parcel(files)
+    return [_with_robots(task, name) for task in tasks], parcel
 
 
-def _put(robot: RobotDescription, files: dict[str, bytes]) -> str:
-    """Add a robot and its collision meshes to files, and return its name there."""
+def _put(robot: RobotDescription, parcel: Parcel) -> str:
+    """Add a robot and its collision meshes to a parcel, and return its name there."""
     root = ElementTree.fromstring(robot.xml)
     for mesh in root.findall("link/collision/geometry/mesh"):
         found = find_mesh(mesh.get("filename", ""), robot.folder)
         if found is not None:
-            content = found.read_bytes()
-            place = f"{_digest(content)}{found.suffix.lower()}"
-            files[place] = content
-            mesh.set("filename", place)
-    text = ElementTree.tostring(root, encoding="utf-8")
-    place = f"{_digest(text)}.urdf"
-    files[place] = text
-    return place
+            mesh.set("filename", _added(parcel, found.read_bytes(), found.suffix.lower()))
+    return _added(parcel, ElementTree.tostring(root, encoding="utf-8"), ".urdf")
 
 
-class Depot:
-    """Where this process puts down what parcels hold, until it ends."""
-
-    def __init__(self) -> None:
-        self._folder: Path | None = None
-        self._lock = threading.Lock()
-
-    def unpack(self, parcel: Parcel, task: RunTask) -> RunTask:
-        """Return a run whose robots are files of this machine."""
-        with self._lock:
-            folder = self._folder or self._begin()
-            for name, content in parcel.files.items():
-                path = folder / Path(name).name
-                if not path.exists():
-                    path.write_bytes(content)
-        return _with_robots(
-            task,
-            lambda robot: str(folder / str(robot).removeprefix(_PARCEL)) if robot else "",
-        )
-
-    def _begin(self) -> Path:
-        self._folder = Path(tempfile.mkdtemp(prefix="hpid-"))
-        atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
-        return self._folder
+def _added(parcel: Parcel, content: bytes, suffix: str) -> str:
+    name = f"{_digest(content)}{suffix}"
+    parcel[name] = content
+    return name
 
 
-def _with_robots(task: RunTask, name: Naming) -> RunTask:
-    world = replace(task.world, robot_description=name(task.world.robot_description))
-    return replace(task, world=world, loops=tuple(_with_robot(each, name) for each in task.loops))
+@cache
+def _depot() -> Path:
+    """Return where this process puts down what parcels hold, until it ends."""
+    folder = Path(tempfile.mkdtemp(prefix="hpid-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
-def _with_robot(settings: LoopSettings, name: Naming) -> LoopSettings:
-    model = settings.model
-    if not model.description:
-        return settings
-    return replace(settings, model=replace(model, description=name(model.description)))
+def unpack(parcel: Parcel, task: RunTask) -> RunTask:
+    """Return a run whose robots are files of this machine."""
+    folder = _depot()
+    for name, content in parcel.items():
+        path = folder / Path(name).name
+        if not path.exists():
+            write_file(path, content)  # whole or not at all: threads of a worker share the folder
+    return _with_robots(task, lambda robot: str(folder / Path(robot).name))
+
+
+def _with_robots(task: RunTask, name: Callable[[str], str]) -> RunTask:
+    world = replace(task.world, robot_description=name(str(task.world.robot_description)))
+    loops = []
+    for each in task.loops:
+        if each.model.description:
+            model = replace(each.model, description=name(each.model.description))
+            each = replace(each, model=model)
+        loops.append(each)
+    return replace(task, world=world, loops=tuple(loops))
 
 
 def _digest(content: bytes) -> str:
@@ -124,7 +97,6 @@ def _digest(content: bytes) -> str:
 
 _COMPUTING = ("hpid_ros", "python", "numpy", "pin")
 _SOURCES = "sources of hpid_ros"
-_depot = Depot()
 _of_thread = threading.local()  # a world is one thread's own
 
 
@@ -153,14 +125,14 @@ def differences(own: Mapping[str, str], others: Mapping[str, str]) -> str:
     )
 
 
-def work(parcel: Parcel, wanted: Mapping[str, str], place: int, task: RunTask) -> Outcome:
+def work(parcel: Parcel, wanted: Mapping[str, str], task: RunTask) -> RunRecord:
     """Run a task on this worker."""
     found = differences(wanted, traits((task.world.engine,)))
     if found:
         raise RunError(f"it has {found}")
     if not hasattr(_of_thread, "keeper"):
         _of_thread.keeper = WorldKeeper()
-    return outcome_of(place, _depot.unpack(parcel, task), _of_thread.keeper)
+    return attempted(unpack(parcel, task), _of_thread.keeper)
 
 
 _ADDRESS = re.compile(
@@ -168,7 +140,6 @@ _ADDRESS = re.compile(
 )
 _LARGEST_PORT = 65_535
 _ANSWERS_WITHIN = 10.0  # [s]
-_LOOKS_EVERY = 0.2  # [s] for an interrupt, and whether the scheduler is there
 
 
 class Cluster:
@@ -201,63 +172,49 @@ class Cluster:
         page = f"; dashboard: {self._client.dashboard_link}" if has_page else ""
         return f"{count} at {self._address}{at_once}{page}"
 
-    def __call__(self, tasks: Sequence[RunTask]) -> Outcomes:
+    def __call__(self, tasks: Mapping[Any, RunTask]) -> Records:
         """Run tasks, as :func:`~hpid_ros.experiment.batch.run_batch` does."""
-        packed, parcel = pack(tasks)
+        from distributed import as_completed
+
+        packed, parcel = pack(list(tasks.values()))
         if not packed:
             return
-        ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        futures = self._submit(packed, parcel)
+        # A task of its own, so that a worker that has lost the parcel is given it again.
+        name = _digest(" ".join(sorted(parcel)).encode())
+        files = self._client.submit(dict, parcel, key=f"hpid-files-{name}")
+        futures = {}
+        for key, task in zip(tasks, packed, strict=True):
+            own = traits((task.world.engine,))
+            futures[self._client.submit(work, files, own, task, pure=False)] = key
+        left = len(futures)
+        ended: Any = as_completed
         try:
-            for future in futures:
-                future.add_done_callback(ended.put)
-            left = len(futures)
-            while left:
+            for future in ended(list(futures), loop=self._client.loop):
                 raise_if_interrupted()
-                try:
-                    future = ended.get(timeout=_LOOKS_EVERY)
-                except queue.Empty:
-                    if self._client.status not in ("running", "connecting"):
-                        raise self._lost(left) from None
-                    continue
                 left -= 1
-                yield self._outcome(future, tasks[futures[future]], left)
+                key = futures[future]
+                yield key, self._record(future, tasks[key].label, left)
                 future.release()
         finally:
             if self._client.status == "running":
                 self._client.cancel(list(futures))
 
-    def _submit(self, tasks: Sequence[RunTask], parcel: Parcel) -> dict[Any, int]:
-        # A task of its own, so that a worker that has lost the parcel is given it again.
-        files = self._client.submit(Parcel, parcel.files, key=f"hpid-files-{parcel.name}")
-        options = {"pure": False, "key": None}
-        return {
-            self._client.submit(
-                work, files, traits((task.world.engine,)), place, task, **options
-            ): place
-            for place, task in enumerate(tasks)
-        }
-
-    def _outcome(self, future: Any, task: RunTask, left: int) -> Any:
+    def _record(self, future: Any, label: str, left: int) -> Any:
         from distributed import KilledWorker
 
         try:
             return future.result()
         except KilledWorker:
             raise RunError(
-                f"{task.label}: every worker that took this run was lost; --resume carries a "
-                "study on"
+                f"{label}: every worker that took this run was lost; --resume carries a study on"
             ) from None
         except RunError as error:
             raise RunError(f"a worker at {self._address} cannot take part: {error}") from None
-        except (CancelledError, asyncio.CancelledError):
-            raise self._lost(left + 1) from None
-
-    def _lost(self, left: int) -> RunError:
-        return RunError(
-            f"the scheduler at {self._address} is lost, and {left} runs with it; --resume carries "
-            "a study on"
-        )
+        except (CancelledError, asyncio.CancelledError):  # all are when the scheduler is lost
+            raise RunError(
+                f"the scheduler at {self._address} is lost, and {left + 1} runs with it; "
+                "--resume carries a study on"
+            ) from None
 
     def _require_equals(self) -> None:
         """Look at the workers that are there; those that come later are looked at as they work."""

@@ -1,25 +1,348 @@
-"""Running an experiment: all of its controllers compared, or one of them alone."""
+"""Running an experiment: all of its controllers compared, or one of them alone.
+
+From the bags of the runs come numbers, tables, figures and the report.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hpid_ros.base.errors import ExperimentError, unknown_name
+from hpid_ros.base.text import shown
+from hpid_ros.base.units import Numbers
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph, run_trial
-from hpid_ros.experiment.in_process import run_without_ros, write_run_files
-from hpid_ros.experiment.progress import NamedProgress, Progress, RunReport
-from hpid_ros.experiment.result import Result, compute, save, save_numbers, save_timing
-from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder
+from hpid_ros.experiment.in_process import (
+    NamedProgress,
+    Progress,
+    RunReport,
+    run_without_ros,
+    write_run_files,
+)
+from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder, versions
+from hpid_ros.messages.messages import read_planar, read_poses, read_statuses, read_vectors
+from hpid_ros.messages.reports import POSE
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.series import RunSeries
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.folding import BySeed, EngineTotal, engine_mapping
-from hpid_ros.metrics.quantities import PAPER, Quantity
+from hpid_ros.metrics.folding import (
+    BySeed,
+    EngineTotal,
+    engine_mapping,
+    unfollowed_lines,
+    unfollowed_mapping,
+)
+from hpid_ros.metrics.measure import Measuring, measure
+from hpid_ros.metrics.quantities import PAPER, GainSignals, Quantity
+from hpid_ros.metrics.task import (
+    BaseFigures,
+    BrickFigures,
+    EndEffector,
+    EndEffectorFigures,
+    EndEffectorPath,
+    TaskFrame,
+    base_figures,
+    moving_joints,
+    task_notes,
+)
+from hpid_ros.motion.references import BrickGoal
 from hpid_ros.report.export import engine_grids, engines_csv
 from hpid_ros.report.table import Grid, grids_text, slides_note
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
+from hpid_ros.simulation.gripper import (
+    ANGLE,
+    BRICK_POSES,
+    DISTANCE,
+    END_EFFECTOR,
+    GRASPED,
+    GRIP_EVENTS,
+    LOST,
+    MISSED,
+)
+from hpid_ros.simulation.reports import ODOM, SLIP, TRUTH
+from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.stability.gain_check import certificates
+
+_PATH_POINTS = 4000
+_log = logging.getLogger(__name__)
+
+
+def base_results(
+    experiment: Experiment, bags: Mapping[str, Path], runs: Sequence[RunSeries]
+) -> dict[str, BaseFigures]:
+    """Compute the figures of the base of each run; none for a robot without a base."""
+    base = experiment.world.base
+    if base is None:
+        return {}
+    return {run.label: _base(experiment.world, base, bags[run.label], run) for run in runs}
+
+
+def _base(world: WorldSettings, base: DifferentialDrive, bag: Path, run: RunSeries) -> BaseFigures:
+    odometry, truth = read_planar(bag, ODOM), read_planar(bag, TRUTH)
+    # Each state's messages come together; of a bag that was cut off one may lack its last.
+    stamps_ns, at_odometry, at_truth = np.intersect1d(
+        odometry.stamps_ns, truth.stamps_ns, assume_unique=True, return_indices=True
+    )
+    _, slips = read_vectors(bag, SLIP)
+    left, right, lateral = slips[-1].tolist()
+    return base_figures(
+        odometry.poses[at_odometry],
+        truth.poses[at_truth],
+        reference_poses(world, base, run, stamps_ns),
+        (left, right, lateral),
+    )
+
+
+def reference_poses(
+    world: WorldSettings, base: DifferentialDrive, run: RunSeries, stamps_ns: NDArray[np.int64]
+) -> Numbers | None:
+    """Return where the base would be if its wheels followed their references and did not slip."""
+    series = {each.joint: each for each in run.joints}
+    if not all(wheel in series for wheel in base.joints):
+        return None
+    left, right = (
+        np.concatenate(([world.initial_positions.get(wheel, 0.0)], series[wheel].reference))
+        for wheel in base.joints
+    )
+    states_ns = series[base.left].state_stamps_ns
+    poses = integrated(base, left, right)[1:]
+    return poses[np.clip(np.searchsorted(states_ns, stamps_ns), 0, len(states_ns) - 1)]
+
+
+def brick_figures(experiment: Experiment, bag: Path) -> tuple[BrickFigures, ...]:
+    """Return what became of each brick.
+
+    What the gripper did is on ``grip_events``; where the bricks lie at the end is the last
+    message on ``brick_poses``.
+    """
+    events = read_statuses(bag, GRIP_EVENTS)
+    poses = read_poses(bag, BRICK_POSES)
+    goals = {goal.name: goal for goal in experiment.plan.goals} if experiment.plan else {}
+    figures = []
+    for index, brick in enumerate(experiment.world.workplace.bricks):
+        own = [event for event in events if event.name == brick.name]
+        errors: tuple[float | None, float | None] = (None, None)
+        goal = goals.get(brick.name)
+        if goal is not None and poses is not None:
+            position, orientation = poses.positions[-1, index], poses.orientations[-1, index]
+            errors = _from_place(goal, position.tolist(), orientation.tolist())
+        outcomes = [event.message.partition(":")[0] for event in own]
+        closing = [
+            event.values
+            for event, outcome in zip(own, outcomes, strict=True)
+            if outcome in (GRASPED, MISSED)
+        ]
+        reasons = [event.message.partition(": ")[2] for event in own if event.level]
+        figures.append(
+            BrickFigures(
+                name=brick.name,
+                grasped=GRASPED in outcomes,
+                distance=float(closing[0][DISTANCE]) if closing else None,
+                angle=float(closing[0][ANGLE]) if closing else None,
+                lost=LOST in outcomes,
+                position_error=errors[0],
+                orientation_error=errors[1],
+                reason=reasons[0] if reasons else "",
+            )
+        )
+    return tuple(figures)
+
+
+def _from_place(
+    goal: BrickGoal, position: Sequence[float], orientation: Sequence[float]
+) -> tuple[float, float]:
+    """Return distance in [m] and angle in [rad] between a brick and its place."""
+    half = goal.place.yaw / 2.0
+    x, y, z, w = orientation
+    # The quaternion from the place to the brick, (place)^-1 brick, place being about z.
+    c, s = math.cos(half), math.sin(half)
+    vector = math.hypot(c * x + s * y, c * y - s * x, c * z - s * w)
+    angle = 2.0 * math.atan2(vector, abs(c * w + s * z))
+    return math.dist(position, goal.place.position), angle
+
+
+def _frame(experiment: Experiment) -> TaskFrame | None:
+    """Return the robot and its end effector; None where no driven joint moves that."""
+    world = experiment.world
+    description = RobotDescription.load(world.robot_description)
+    if not moving_joints(description, experiment.end_effector).intersection(world.joints):
+        return None
+    return TaskFrame(description, experiment.end_effector, world.base, world.initial_positions)
+
+
+@dataclass(frozen=True)
+class Result:
+    experiment: Experiment  # what was compared
+    runs: tuple[RunSeries, ...]  # the recorded runs, the baseline first
+    comparison: Comparison  # their numbers
+    base: Mapping[str, BaseFigures] = field(default_factory=dict)
+    end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
+    bricks: Mapping[str, tuple[BrickFigures, ...]] = field(default_factory=dict)
+    paths: tuple[EndEffectorPath, ...] = ()  # of the end effector, for the figure
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return everything that the experiment determines, and nothing that the clock does.
+
+        Two runs of the same experiment with the same versions give the same mapping to the
+        last bit, on the graph and in one process. A repeated command is no part of it: a bridge
+        asks again when a machine was slow, and the answer to a repeat is the same.
+        """
+        experiment = self.experiment
+        optional = {
+            "unfollowed": unfollowed_mapping(self.runs),
+            "base": {label: asdict(each) for label, each in self.base.items()},
+            "end_effector": {k: asdict(each) for k, each in self.end_effectors.items()},
+            "bricks": {
+                label: {brick.name: brick.as_mapping() for brick in each}
+                for label, each in self.bricks.items()
+            },
+        }
+        return {
+            "experiment": experiment.name,
+            "sha256": experiment.digest,
+            "seed": experiment.seed,
+            "duration": experiment.duration,
+            "engine": experiment.world.engine,
+            "control_period": experiment.world.control_period_ns * 1e-9,
+            "versions": versions(),
+            "indices": self.comparison.as_mapping(),
+            "samples": {
+                run.label: {
+                    series.joint: {
+                        "states": len(series.position),
+                        "commands": len(series.effort),
+                        "unanswered_states": run.losses[series.joint].unanswered_states,
+                    }
+                    for series in run.joints
+                }
+                for run in self.runs
+            },
+            **{key: each for key, each in optional.items() if each},
+            "parameters": self.parameters(),
+        }
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines that belong below the table: what a reader must know of the runs."""
+        slips = [each.line(label) for label, each in self.base.items() if each.has_slipped]
+        task = task_notes(tuple(self.end_effectors.items()), tuple(self.bricks.items()))
+        return (*unfollowed_lines(self.runs), *task, *slips)
+
+    def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
+        return {
+            label: {each.joint: dict(each.to_parameters()) for each in settings}
+            for label, settings in self.experiment.controllers.items()
+        }
+
+
+def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
+    how = Measuring(
+        BagSelection(joints=experiment.world.joints), description=experiment.description
+    )
+    measured = [measure(bag, label, how) for label, bag in bags.items()]
+    runs = tuple(each.series for each in measured if each.series is not None)
+    for run in runs:
+        for line in run.quality.lines if run.quality is not None else ():
+            _log.warning("%s", shown(f"run {run.label!r}: {line}"))
+    comparison = Comparison(tuple(each.run for each in measured))
+    base = base_results(experiment, bags, runs)
+    frame = _frame(experiment)
+    end_effectors, bricks, paths = {}, {}, []
+    for run in runs:
+        bag = bags[run.label]
+        if frame is not None:
+            end_effector = EndEffector(frame, run)
+            truth = read_poses(bag, END_EFFECTOR, POSE)
+            end_effectors[run.label] = end_effector.figures(truth)
+            paths.append(end_effector.path(_PATH_POINTS))
+        if experiment.world.workplace.bricks:
+            bricks[run.label] = brick_figures(experiment, bag)
+    return Result(experiment, runs, comparison, base, end_effectors, bricks, tuple(paths))
+
+
+def save_numbers(
+    result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str
+) -> None:
+    """Write the numbers of a result: indices and table, and how long everything took."""
+    from hpid_ros.report.table import table_text
+
+    folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
+    notes = "".join(f"{note}\n" for note in result.notes)
+    folder.write("table.txt", table_text(result.comparison) + notes)
+    save_timing(folder, reports, how)
+
+
+def save_timing(folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
+    """Write how long the runs took, as for :func:`save_numbers`."""
+    timing = {"ran": how, "runs": {each.label: each.as_mapping() for each in reports}}
+    folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
+
+
+def save(
+    result: Result,
+    folder: ResultFolder,
+    reports: Sequence[RunReport],
+    how: str,
+    *,
+    has_figures: bool = True,
+) -> None:
+    """Write the result: first the numbers, then what is drawn from them."""
+    save_numbers(result, folder, reports, how)
+
+    # Drawing is slow to import, and numbers that are saved survive a failure to draw them.
+    from hpid_ros.report.export import table_csv, table_latex
+    from hpid_ros.report.page import render_report
+
+    folder.write("table.csv", table_csv(result.comparison))
+    folder.write("table.tex", table_latex(result.comparison))
+    gains = _gain_signals(result)
+    paths = result.paths
+    if has_figures:
+        from hpid_ros.report.plots import save_figures
+
+        save_figures(result.comparison, result.runs, folder.figures, gains=gains, paths=paths)
+    provenance = {
+        "experiment": result.experiment.name,
+        "ran": how,
+        "engine": result.experiment.world.engine,
+        "command": f"hpid compare {result.experiment.path.name}",
+        "seed": result.experiment.seed,
+        "SHA-256 of experiment and robot": result.experiment.digest,
+        "versions": versions(),
+    }
+    folder.write(
+        "report.html",
+        render_report(
+            result.comparison,
+            result.runs,
+            provenance,
+            result.parameters(),
+            gains=gains,
+            paths=paths,
+        ),
+    )
+
+
+def _gain_signals(result: Result) -> dict[str, dict[str, GainSignals]]:
+    """Return norm and gain multiplier over time, by run and joint."""
+    from hpid_ros.metrics.laws import gain_signals
+
+    found = {}
+    for run in result.runs:
+        settings = {each.joint: each for each in result.experiment.controllers[run.label]}
+        signals = gain_signals(run, settings)
+        if signals is not None:
+            found[run.label] = signals
+    return found
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,13 @@ from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.in_process import (
+    NoProgress,
+    Progress,
+    RunReport,
     bridge_name,
     controllers_document,
     recorded_topics,
+    run_timing,
     write_document,
     write_run_files,
 )
@@ -30,7 +34,6 @@ from hpid_ros.experiment.processes import (
     own_domain,
     require_no_sockets,
 )
-from hpid_ros.experiment.progress import NoProgress, Progress, RunReport, run_timing
 from hpid_ros.simulation.gripper import task_topics
 from hpid_ros.simulation.reports import REPORT_RATE
 

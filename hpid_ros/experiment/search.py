@@ -23,19 +23,11 @@ from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import Numbers, unit_over
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.settings import LawName, LoopSettings
-from hpid_ros.experiment.batch import (
-    LAST_ERROR,
-    PAPER_QUANTITIES,
-    Outcome,
-    Runner,
-    RunTask,
-    run_batch,
-)
+from hpid_ros.experiment.batch import LAST_ERROR, Runner, RunRecord, RunTask, run_batch
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.result_folder import ResultFolder, versions
 from hpid_ros.metrics.comparison import ratio
-from hpid_ros.metrics.quantities import Quantity
-from hpid_ros.metrics.results import RunIndices
+from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.report.table import format_ratio
 from hpid_ros.stability.gain_check import DegreeChecker
 
@@ -65,7 +57,7 @@ class Cost:
     @classmethod
     def even(cls) -> Cost:
         """Return the cost in which all indices of the paper count the same."""
-        return cls({quantity.key: 1.0 for quantity in PAPER_QUANTITIES})
+        return cls({quantity.key: 1.0 for quantity in PAPER})
 
     def as_mapping(self) -> dict[str, object]:
         return {"weights": dict(self.weights)}
@@ -109,24 +101,19 @@ class WorstExcess:
 
 
 def _require_known(names: Mapping[str, float]) -> None:
-    known = [quantity.key for quantity in PAPER_QUANTITIES]
+    known = [quantity.key for quantity in PAPER]
     for key in names:
         if key not in known:
             raise SettingError(unknown_name("index", key, known))
 
 
 def mean_ratios(
-    runs: Sequence[RunIndices],
-    baseline: Sequence[RunIndices],
-    quantities: Sequence[Quantity] = PAPER_QUANTITIES,
+    runs: Mapping[int, RunRecord], baseline: Mapping[int, RunRecord]
 ) -> dict[str, float]:
     """Return for each index the geometric mean over the seeds of its ratio to the baseline."""
     found = {}
-    for quantity in quantities:
-        each = [
-            ratio(own.value(quantity), other.value(quantity))
-            for own, other in zip(runs, baseline, strict=True)
-        ]
+    for quantity in PAPER:
+        each = [ratio(runs[k].value(quantity), baseline[k].value(quantity)) for k in sorted(runs)]
         is_plain = all(math.isfinite(value) and value > 0.0 for value in each)
         mean = math.fsum(map(math.log, each)) / len(each) if is_plain else math.nan
         found[quantity.key] = math.exp(mean) if is_plain else max(each)
@@ -391,11 +378,12 @@ class SearchPlan:
     def total(self) -> int:
         return self.evaluations * (1 + len(self.joints) * self.per_joint)
 
-    def tasks(self, name: str, loops: Loops) -> list[RunTask]:
-        return [
-            RunTask.seeded(self.experiment, name, seed, loops, self.joints)
+    def tasks(self, name: str, loops: Loops) -> dict[int, RunTask]:
+        """Return the runs of a controller by seed."""
+        return {
+            seed: RunTask.seeded(self.experiment, name, seed, loops, self.joints)
             for seed in self.training_seeds
-        ]
+        }
 
 
 _LEAST_POPULATION, _POPULATION_PER_PARAMETER = 5, 4
@@ -410,7 +398,7 @@ class Search:
     ) -> None:
         self.plan = plan
         self.evaluations: list[Evaluation] = []
-        self.baseline: list[RunIndices] = []
+        self.baseline: dict[int, RunRecord] = {}
         self._run, self._advanced = run, advanced
         self._checker = DegreeChecker()
 
@@ -425,9 +413,10 @@ class Search:
         plan = self.plan
         label, loops = next(iter(plan.experiment.controllers.items()))
         with closing(self._run(plan.tasks(label, loops))) as batch:
-            self.baseline, failures = _numbers(list(batch))
-        if failures:
-            raise RunError(f"the baseline cannot be run: {failures[0]}")
+            self.baseline = dict(batch)
+        failure = _failure(self.baseline)
+        if failure:
+            raise RunError(f"the baseline cannot be run: {failure}")
         self._minimise(plan.space, "all")
         for joint in plan.joints if plan.per_joint else ():
             if self.best is not None:
@@ -471,24 +460,23 @@ class Search:
         """Return the evaluations of points, given as shares of the way along each direction."""
         points = [self._point(space, stage, k, row) for k, row in enumerate(shares)]
         judged = {k: point for k, point in enumerate(points) if not point.loops}
-        tasks = [
-            (k, task)
+        tasks = {
+            (k, seed): task
             for k, point in enumerate(points)
             if point.loops
-            for task in self.plan.tasks(f"point {point.number}", point.loops)
-        ]
-        own: dict[int, list[Outcome]] = {}
+            for seed, task in self.plan.tasks(f"point {point.number}", point.loops).items()
+        }
+        own: dict[int, dict[int, RunRecord]] = {}
         try:
             for refused in judged.values():
                 self._advanced(refused)
-            with closing(self._run([task for _, task in tasks])) as batch:
-                for outcome in batch:
-                    place = tasks[outcome.place][0]
-                    outcomes = own.setdefault(place, [])
-                    outcomes.append(outcome)
-                    if len(outcomes) == self.plan.seeds:
-                        judged[place] = self._judged(points[place], outcomes)
-                        self._advanced(judged[place])
+            with closing(self._run(tasks)) as batch:
+                for (k, seed), record in batch:
+                    runs = own.setdefault(k, {})
+                    runs[seed] = record
+                    if len(runs) == self.plan.seeds:
+                        judged[k] = self._judged(points[k], runs)
+                        self._advanced(judged[k])
         finally:
             self.evaluations += [judged[place] for place in sorted(judged)]
         return [judged[place] for place in range(len(points))]
@@ -510,12 +498,12 @@ class Search:
                 return Evaluation(number, stage, values, (), note=f"refused: {reason}")
         return Evaluation(number, stage, values, loops)
 
-    def _judged(self, point: Evaluation, outcomes: Sequence[Outcome]) -> Evaluation:
-        runs, failures = _numbers(outcomes)
-        if failures:
-            return replace(point, note=f"failed: {failures[0]}")
+    def _judged(self, point: Evaluation, runs: Mapping[int, RunRecord]) -> Evaluation:
+        failure = _failure(runs)
+        if failure:
+            return replace(point, note=f"failed: {failure}")
         ratios = mean_ratios(runs, self.baseline)
-        last = max(each.value(LAST_ERROR) for each in runs)
+        last = max(each.value(LAST_ERROR) for each in runs.values())
         judged = replace(point, ratios=ratios, last_error=last)
         if not last <= self.plan.settle:
             unit = self.plan.position_unit
@@ -523,11 +511,9 @@ class Search:
         return replace(judged, cost=self.plan.cost.of(ratios))
 
 
-def _numbers(outcomes: Sequence[Outcome]) -> tuple[list[RunIndices], list[str]]:
-    """Return the numbers of the runs that have some, seed by seed, and why others have none."""
-    outcomes = sorted(outcomes, key=lambda outcome: outcome.place)
-    runs = [each.indices for each in outcomes if each.indices is not None]
-    return runs, [each.failure for each in outcomes if each.failure]
+def _failure(runs: Mapping[int, RunRecord]) -> str:
+    """Return why the first of the runs failed that did."""
+    return next((runs[seed].failure for seed in sorted(runs) if runs[seed].failure), "")
 
 
 _JOINTS = "joints"
@@ -596,7 +582,7 @@ class SearchResult:
     def points_csv(self) -> str:
         """Return every point, one a row: its place, parameters, cost, ratios, last error."""
         names = [each.name for each in self._plan.space.parameters]
-        keys = [quantity.key for quantity in PAPER_QUANTITIES]
+        keys = [quantity.key for quantity in PAPER]
         ratios = [f"{key}_ratio" for key in keys]
         rows: list[list[object]] = [
             ["point", "stage", *names, "cost", *ratios, LAST_ERROR.key, "note"]
@@ -661,7 +647,7 @@ class SearchResult:
         of = "" if best.stage == "all" else f" of {best.stage}"
         lines += [
             f"{self.label}: cost {best.cost:.4f} ({baseline}: 1), {values}{of}",
-            "  ".join(f"{q.symbol} {format_ratio(best.ratios[q.key])}" for q in PAPER_QUANTITIES)
+            "  ".join(f"{q.symbol} {format_ratio(best.ratios[q.key])}" for q in PAPER)
             + f"  largest error of the last second {best.last_error:.4g} {plan.position_unit}",
         ]
         return "\n".join(lines) + "\n"

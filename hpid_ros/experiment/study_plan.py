@@ -15,11 +15,12 @@ from hpid_ros.base.errors import ExperimentError, SettingError, unknown_name
 from hpid_ros.base.files import ResourceError, find_resource, share_folder
 from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_document
-from hpid_ros.experiment.batch import LAST_ERROR, PAPER_QUANTITIES, RunRecord, RunTask
+from hpid_ros.experiment.batch import RunRecord, RunTask
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.experiment.result_folder import system_errors, versions
-from hpid_ros.metrics.quantities import CHATTER, ERROR_MAX, OVERSHOOT, Quantity
 from hpid_ros.simulation.settings import require_engine
+
+JOURNAL = "runs.jsonl"
 
 SLOW = ("bricks",)
 """Experiments that are in a study only when they are named."""
@@ -76,34 +77,23 @@ class StudyEntry:
         return tuple(self.experiment.controllers)[1:]
 
 
-class Shard(NamedTuple):
-    """A part of a study's runs: one of so many, as even as can be."""
-
-    place: int = 1  # which part, from 1
-    parts: int = 1  # how many there are
-
-    @classmethod
-    def parse(cls, text: str) -> Shard:
-        """Return the part that ``K/N`` names."""
-        place, _, parts = text.partition("/")
-        if place.isdecimal() and parts.isdecimal() and 1 <= int(place) <= int(parts):
-            return cls(int(place), int(parts))
-        raise SettingError(f"a shard is K/N with K from 1 to N, for instance 1/8, not {text!r}")
-
-    def holds(self, place: int) -> bool:
-        """Return whether a run is in it, by its place among all runs."""
-        return place % self.parts == self.place - 1
+def shard_of(text: str) -> slice:
+    """Return the part of all runs that ``K/N`` names: every N-th from the K-th on."""
+    place, _, parts = text.partition("/")
+    if place.isdecimal() and parts.isdecimal() and 1 <= int(place) <= int(parts):
+        return slice(int(place) - 1, None, int(parts))
+    raise SettingError(f"a shard is K/N with K from 1 to N, for instance 1/8, not {text!r}")
 
 
-ALL = Shard()
-"""All runs."""
+ALL = slice(None)
+"""The shard that has all runs."""
 
 
 @dataclass(frozen=True)
 class StudyPlan:
     entries: tuple[StudyEntry, ...]  # the experiments, of unlike names
     count: int  # seeds of each controller: the experiment's own and those that follow it
-    shard: Shard = ALL  # the part of all runs that is made here
+    shard: slice  # the part of all runs that is made here
 
     @property
     def pairs(self) -> list[tuple[StudyEntry, StudyEntry]]:
@@ -115,17 +105,22 @@ class StudyPlan:
     def inputs(self) -> list[Path]:
         return [file for entry in self.entries for file in entry.experiment.inputs]
 
+    @property
+    def digests(self) -> dict[tuple[str, str], str]:
+        """Of each entry, by experiment and engine."""
+        return {(each.experiment.name, each.engine): each.digest for each in self.entries}
+
     def seeds(self, entry: StudyEntry) -> tuple[int, ...]:
         return tuple(entry.experiment.seed + k for k in range(self.count))
 
     def tasks(self) -> dict[RunKey, RunTask]:
         """Return all runs of the shard; those on one robot are side by side."""
-        runs = (
+        runs = [
             (entry, label, seed)
             for entry in self.entries
             for label in entry.experiment.controllers
             for seed in self.seeds(entry)
-        )
+        ]
         return {
             RunKey(*entry.row(label), seed): RunTask.seeded(
                 entry.experiment,
@@ -134,8 +129,7 @@ class StudyPlan:
                 entry.experiment.controllers[label],
                 entry.joints,
             )
-            for place, (entry, label, seed) in enumerate(runs)
-            if self.shard.holds(place)
+            for entry, label, seed in runs[self.shard]
         }
 
 
@@ -163,7 +157,7 @@ def plan_study(
     joints: Sequence[str] = (),
     seeds: int = 20,
     engines: Sequence[str | None] = (None,),
-    shard: Shard = ALL,
+    shard: slice = ALL,
 ) -> StudyPlan:
     """Read experiments and check them as a whole before anything runs."""
     if seeds < 1:
@@ -193,16 +187,6 @@ def _entry(experiment: Experiment, joints: Sequence[str], *, is_in_both: bool) -
     return StudyEntry(experiment, named, is_in_both)
 
 
-QUANTITIES: tuple[Quantity, ...] = (
-    *PAPER_QUANTITIES,
-    OVERSHOOT,
-    ERROR_MAX,
-    CHATTER,
-    LAST_ERROR,
-)
-"""What a study keeps of a run."""
-
-
 @dataclass(frozen=True)
 class JournalEntry:
     """What is kept of one run, and of what it was."""
@@ -219,20 +203,11 @@ class JournalEntry:
     @classmethod
     def parse(cls, line: str) -> JournalEntry:
         """Return the entry that :meth:`line` wrote."""
-        try:
-            saved = json.loads(line)
-            experiment, engine, controller = (str(saved[each]) for each in RunKey._fields[:3])
-            numbers = {
-                joint: {key: float(value) for key, value in each.items()}
-                for joint, each in saved["numbers"].items()
-            }
-            key = RunKey(experiment, engine, controller, int(saved["seed"]))
-            entry = cls(key, str(saved["sha256"]), RunRecord(numbers, str(saved["failure"])))
-        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise ValueError(f"no record of a run: {error}") from None
-        if entry.line() != line:  # which no other kind of value, missing or further key passes
+        saved = json.loads(line)
+        if saved.pop("crc32") != zlib.crc32(json.dumps(saved).encode()):
             raise ValueError("not what was written")
-        return entry
+        key = RunKey(*(saved.pop(name) for name in RunKey._fields))
+        return cls(key, saved.pop("sha256"), RunRecord(**saved))
 
 
 def read_journal(path: Path) -> list[JournalEntry]:
@@ -245,7 +220,7 @@ def read_journal(path: Path) -> list[JournalEntry]:
     for number, line in enumerate(lines, 1):
         try:
             entries.append(JournalEntry.parse(line))
-        except ValueError:
+        except (ValueError, AttributeError, LookupError, TypeError, RecursionError):
             if number == len(lines):
                 break
             raise SettingError(
@@ -253,3 +228,23 @@ def read_journal(path: Path) -> list[JournalEntry]:
                 "its run is made again"
             ) from None
     return entries
+
+
+def kept_records(plan: StudyPlan, *folders: Path) -> dict[tuple[object, ...], RunRecord]:
+    """Return the runs in folders that are still those of the plan and did not fail."""
+    digests, wanted = plan.digests, plan.tasks()
+    records: dict[tuple[object, ...], RunRecord] = {}
+    for journal in (folder / JOURNAL for folder in folders):
+        for entry in read_journal(journal):
+            key, record = entry.key, entry.record
+            if key not in wanted or record.failure:
+                continue
+            if entry.digest != digests[key.experiment, key.engine]:
+                continue
+            if records.setdefault(key, record) != record:
+                raise SettingError(
+                    f"{journal}: {key.experiment} {key.controller} seed={key.seed} in "
+                    f"{key.engine} is there with other numbers than before; one of the two is "
+                    "wrong, or made on a machine that computes differently"
+                )
+    return records

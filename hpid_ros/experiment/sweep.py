@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -16,35 +16,24 @@ from rich.box import SIMPLE
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from hpid_ros.base.console import plain_console
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import unit_over
 from hpid_ros.control.settings import PARAMETERS, LoopSettings
-from hpid_ros.experiment.batch import (
-    PAPER_QUANTITIES,
-    TOTAL,
-    Outcome,
-    Quartiles,
-    Runner,
-    RunRecord,
-    RunTable,
-    RunTask,
-    joint_numbers,
-)
+from hpid_ros.experiment.batch import TOTAL, Quartiles, Runner, RunRecord, RunTable, RunTask
 from hpid_ros.experiment.description import Experiment, with_robot
 from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder, versions
 from hpid_ros.metrics.comparison import verdict
-from hpid_ros.metrics.quantities import Quantity
+from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.report.table import (
     ASCII_MARKS,
     MARKS,
     STYLES,
-    UNLIMITED_WIDTH,
     TableColumn,
     WideTable,
     format_ratio,
     format_values,
+    grids_text,
     slides_note,
 )
 from hpid_ros.robot.description import RobotDescription
@@ -70,11 +59,18 @@ class Axis:
 
     @classmethod
     def parse(cls, text: str) -> Axis:
-        name, equals, rest = (part.strip() for part in text.partition("="))
+        name, _, rest = (part.strip() for part in text.partition("="))
+        names = [*(each for each in PARAMETERS if each != "joint"), *WORLD_SETTINGS]
         try:
-            if not equals or not name or not rest:
+            if not name or not rest:
                 raise SettingError(f"it must be {_FORMS}")
-            values = _texts(name, rest) if _is_text(name) else _numbers(rest)
+            if name not in names:
+                raise SettingError(unknown_name("parameter", name, names))
+            known = PARAMETERS.get(name)
+            if known is not None and isinstance(known.default, str):
+                values = tuple(known.checked(part.strip()) for part in rest.split(","))
+            else:
+                values = _numbers(rest)
             if len(set(values)) < len(values):
                 doubled = next(value for value in values if values.count(value) > 1)
                 raise SettingError(f"{shown(doubled)} is there twice")
@@ -85,17 +81,6 @@ class Axis:
 
 def shown(value: Value) -> str:
     return value if isinstance(value, str) else f"{value:.12g}"
-
-
-def _is_text(name: str) -> bool:
-    names = [*(each for each in PARAMETERS if each != "joint"), *WORLD_SETTINGS]
-    if name not in names:
-        raise SettingError(unknown_name("parameter", name, names))
-    return name in PARAMETERS and isinstance(PARAMETERS[name].default, str)
-
-
-def _texts(name: str, text: str) -> tuple[Value, ...]:
-    return tuple(PARAMETERS[name].checked(part.strip()) for part in text.split(","))
 
 
 def _numbers(text: str) -> tuple[Value, ...]:
@@ -147,44 +132,37 @@ def rows_of(
     experiment: Experiment, axes: Sequence[Axis], controller: str, joints: Sequence[str]
 ) -> tuple[Row, ...]:
     """Return a baseline for each robot of a grid, then the grid's points."""
-    of_world = [axis for axis in axes if axis.name in WORLD_SETTINGS]
-    robots = [_assigned(of_world, values) for values in _product(of_world)]
+    robots = _combinations([axis for axis in axes if axis.name in WORLD_SETTINGS])
     baselines = [_baseline(experiment, robot) for robot in robots]
     places = {tuple(robot.values()): place for place, robot in enumerate(robots)}
     points = []
-    for combination in _product(axes):
-        values = _assigned(axes, combination)
-        place = places[tuple(values[axis.name] for axis in of_world)]
-        base = baselines[place]
-        point = replace(base, label=controller, values=values, baseline=place, loops=())
-        if not base.refusal:
-            point = _varied(point, experiment, joints)
-        points.append(point)
+    for values in _combinations(axes):
+        place = places[tuple(value for k, value in values.items() if k in WORLD_SETTINGS)]
+        point = replace(
+            baselines[place], label=controller, values=values, baseline=place, loops=()
+        )
+        points.append(point if point.refusal else _varied(point, experiment, joints))
     return (*baselines, *points)
+
+
+def _combinations(axes: Sequence[Axis]) -> list[dict[str, Value]]:
+    names = [axis.name for axis in axes]
+    grid = itertools.product(*(axis.values for axis in axes))
+    return [dict(zip(names, values, strict=True)) for values in grid]
 
 
 def _varied(point: Row, experiment: Experiment, joints: Sequence[str]) -> Row:
     """Return a point with its loops, or with the reason why there are none."""
     changes = {k: value for k, value in point.values.items() if k not in WORLD_SETTINGS}
-    loops = []
-    for each in _on_robot(experiment.controllers[point.label], experiment.world, point.world):
-        if joints and each.joint not in joints:
-            loops.append(each)
-            continue
-        try:
-            varied = LoopSettings.from_parameters({**each.to_parameters(), **changes})
-            loops.append(with_robot(varied, point.world))
-        except HpidError as error:
-            return replace(point, refusal=f"{each.joint}: {error}")
+    loops = _on_robot(experiment.controllers[point.label], experiment.world, point.world)
+    for place, each in enumerate(loops):
+        if each.joint in joints or not joints:
+            try:
+                varied = LoopSettings.from_parameters({**each.to_parameters(), **changes})
+                loops[place] = with_robot(varied, point.world)
+            except HpidError as error:
+                return replace(point, refusal=f"{each.joint}: {error}")
     return replace(point, loops=tuple(loops))
-
-
-def _product(axes: Sequence[Axis]) -> itertools.product[tuple[Value, ...]]:
-    return itertools.product(*(axis.values for axis in axes))
-
-
-def _assigned(axes: Sequence[Axis], values: Sequence[Value]) -> dict[str, Value]:
-    return {axis.name: value for axis, value in zip(axes, values, strict=True)}
 
 
 def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
@@ -192,7 +170,7 @@ def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
     world = experiment.world
     try:
         changed = _changed_world(world, values)
-        return Row(label, values, None, changed, _on_robot(loops, world, changed))
+        return Row(label, values, None, changed, tuple(_on_robot(loops, world, changed)))
     except HpidError as error:
         return Row(label, values, None, world, refusal=str(error))
 
@@ -214,14 +192,14 @@ def _changed_world(world: WorldSettings, values: Mapping[str, Value]) -> WorldSe
 
 def _on_robot(
     loops: Sequence[LoopSettings], before: WorldSettings, after: WorldSettings
-) -> tuple[LoopSettings, ...]:
+) -> list[LoopSettings]:
     """Return loops that know the encoder of the robot as they knew that of the one before."""
     known = []
     for each, old, new in zip(loops, before.encoders, after.encoders, strict=True):
         is_as_fitted = each.encoder.resolution == old.resolution
         fitted = {"encoder_resolution": new.resolution} if is_as_fitted else {}
         known.append(each.with_parameters(fitted))
-    return tuple(known)
+    return known
 
 
 LARGEST_SWEEP = 1_000_000
@@ -235,11 +213,7 @@ class Sweep:
     controller: str  # label of the controller that is varied
     joints: tuple[str, ...]  # the joints that are varied, and judged; empty for all
     seeds: tuple[int, ...]  # every row runs once with each
-    rows: tuple[Row, ...] = field(init=False)
-
-    def __post_init__(self) -> None:
-        rows = rows_of(self.experiment, self.axes, self.controller, self.joints)
-        object.__setattr__(self, "rows", rows)
+    rows: tuple[Row, ...]  # a baseline for each robot, then the points
 
     @property
     def baseline(self) -> str:
@@ -257,20 +231,18 @@ class Sweep:
 
     def tasks(self) -> dict[tuple[int, int], RunTask]:
         """Return the runs by place of the row and seed; those on one robot side by side."""
-        tasks = {
+        robots = [
+            place if row.baseline is None else row.baseline for place, row in enumerate(self.rows)
+        ]
+        return {
             (place, seed): RunTask.seeded(
                 self.experiment, row.name, seed, row.loops, self.joints, row.world
             )
-            for place, row in enumerate(self.rows)
+            for place in sorted(range(len(self.rows)), key=robots.__getitem__)
+            for row in (self.rows[place],)
             if not row.refusal
             for seed in self.seeds
         }
-
-        def robot(item: tuple[tuple[int, int], RunTask]) -> int:
-            row = self.rows[item[0][0]]
-            return item[0][0] if row.baseline is None else row.baseline
-
-        return dict(sorted(tasks.items(), key=robot))
 
 
 def plan_sweep(
@@ -293,19 +265,6 @@ def plan_sweep(
     for joint in joints:
         if joint not in experiment.world.joints:
             raise SettingError(unknown_name("joint", joint, experiment.world.joints))
-    _check_size(axes, seeds)
-    _require_effect(experiment.controllers[controller], controller, [a.name for a in axes])
-    chosen = tuple(joint for joint in experiment.world.joints if joint in joints)
-    numbers = tuple(experiment.seed + k for k in range(seeds))
-    sweep = Sweep(experiment, tuple(axes), controller, chosen, numbers)
-    points = [row for row in sweep.rows if row.baseline is not None]
-    if all(row.refusal for row in points):
-        raise SettingError(f"no point can run; {points[0].name}: {points[0].refusal}")
-    return sweep
-
-
-def _check_size(axes: Sequence[Axis], seeds: int) -> None:
-    """Refuse grids that are none, or that nobody lives to see the end of."""
     names = [axis.name for axis in axes]
     if not names:
         raise SettingError("nothing is varied: name at least one parameter")
@@ -317,15 +276,21 @@ def _check_size(axes: Sequence[Axis], seeds: int) -> None:
     runs = seeds * math.prod(len(axis.values) for axis in axes)
     if runs > LARGEST_SWEEP:
         raise SettingError(f"{runs} runs are too many; at most {LARGEST_SWEEP}")
-
-
-def _require_effect(loops: Sequence[LoopSettings], label: str, names: Sequence[str]) -> None:
-    """Refuse to vary what the linear law does not know."""
-    if "law" in names or any(each.law != "pid" for each in loops):
-        return
-    for name in names:
-        if name == "mu" or name.startswith("norm."):
-            raise SettingError(f"{name} has no effect on controller {label!r}, whose law is pid")
+    if "law" not in names and all(
+        each.law == "pid" for each in experiment.controllers[controller]
+    ):
+        for name in names:
+            if name == "mu" or name.startswith("norm."):
+                raise SettingError(
+                    f"{name} has no effect on controller {controller!r}, whose law is pid"
+                )
+    chosen = tuple(joint for joint in experiment.world.joints if joint in joints)
+    rows = rows_of(experiment, axes, controller, chosen)
+    points = [row for row in rows if row.baseline is not None]
+    if all(row.refusal for row in points):
+        raise SettingError(f"no point can run; {points[0].name}: {points[0].refusal}")
+    numbers = tuple(experiment.seed + k for k in range(seeds))
+    return Sweep(experiment, tuple(axes), controller, chosen, numbers, rows)
 
 
 @dataclass(frozen=True)
@@ -351,7 +316,7 @@ class SweepResult:
     def runs_csv(self) -> str:
         """Return every run, one a row: row's place, controller, parameters, seed, numbers."""
         names = [axis.name for axis in self.sweep.axes]
-        keys = [q.key for q in PAPER_QUANTITIES]
+        keys = [q.key for q in PAPER]
         rows: list[list[object]] = [["row", "controller", *names, "seed", *keys, "failure"]]
         for place, row in enumerate(self.sweep.rows):
             lead: list[object] = [place, row.label, *(row.values.get(name, "") for name in names)]
@@ -366,11 +331,11 @@ class SweepResult:
         """Return every row with medians, quartiles and ratios, at full precision."""
         names = [axis.name for axis in self.sweep.axes]
         parts = ("median", "first_quartile", "third_quartile", "ratio")
-        numbers = [f"{q.key}_{part}" for q in PAPER_QUANTITIES for part in parts]
+        numbers = [f"{q.key}_{part}" for q in PAPER for part in parts]
         rows: list[list[object]] = [["controller", *names, *numbers, "note"]]
         for place, row in enumerate(self.sweep.rows):
             cells: list[object] = [row.label, *(row.values.get(name, "") for name in names)]
-            for quantity in PAPER_QUANTITIES:
+            for quantity in PAPER:
                 own = self.table.quartiles((place,), quantity)
                 ratios = self.table.ratios((place,), quantity)
                 cells += ["", "", ""] if own is None else [own.median, own.first, own.third]
@@ -393,7 +358,7 @@ class SweepResult:
             "seeds": list(sweep.seeds),
             "vary": {axis.name: list(axis.values) for axis in sweep.axes},
             "runs": {"planned": len(sweep.tasks()), "made": len(self.records)},
-            "units": {q.key: unit_over(q.unit, sweep.are_slides) for q in PAPER_QUANTITIES},
+            "units": {q.key: unit_over(q.unit, sweep.are_slides) for q in PAPER},
             "rows": [self._row(place, row) for place, row in enumerate(sweep.rows)],
             "parameters": {
                 label: {each.joint: dict(each.to_parameters()) for each in settings}
@@ -403,8 +368,8 @@ class SweepResult:
         }
 
     def _row(self, place: int, row: Row) -> dict[str, object]:
-        own = {q.key: self.table.quartiles((place,), q) for q in PAPER_QUANTITIES}
-        ratios = {q.key: self.table.ratios((place,), q) for q in PAPER_QUANTITIES}
+        own = {q.key: self.table.quartiles((place,), q) for q in PAPER}
+        ratios = {q.key: self.table.ratios((place,), q) for q in PAPER}
         return {
             "controller": row.label,
             "values": dict(row.values),
@@ -432,67 +397,43 @@ class SweepTable:
         self.result = result
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        sweep, is_ascii = self.result.sweep, options.ascii_only
-        names = [TableColumn("controller", [_label(row) for row in sweep.rows], is_text=True)]
+        sweep, table = self.result.sweep, self.result.table
+        dash = "-" if options.ascii_only else "–"
+        labels = [f"{e.label} (baseline)" if e.baseline is None else e.label for e in sweep.rows]
+        names = [TableColumn("controller", labels, is_text=True)]
         for axis in sweep.axes:
             values = [row.values.get(axis.name) for row in sweep.rows]
-            texts = [Text(_NOTHING if each is None else shown(each)) for each in values]
+            texts = [_NOTHING if each is None else shown(each) for each in values]
             names.append(TableColumn(axis.name, texts))
-        columns = [
-            TableColumn(*each)
-            for quantity in PAPER_QUANTITIES
-            for each in self._columns(quantity, is_ascii)
-        ]
-        notes = [Text(self.result.note(place)) for place in range(len(sweep.rows))]
+        columns = []
+        for quantity in PAPER:
+            own = [table.quartiles((place,), quantity) for place in range(len(sweep.rows))]
+            ratios = [table.ratios((place,), quantity) for place in range(len(sweep.rows))]
+            numbers = iter(format_values(x for each in own if each for x in each))
+            spreads = [each and tuple(next(numbers) for _ in each) for each in own]
+            columns += [
+                TableColumn(
+                    f"{quantity.symbol} [{unit_over(quantity.unit, sweep.are_slides)}]",
+                    [each[1] if each else _NOTHING for each in spreads],
+                ),
+                TableColumn(
+                    "quartiles",
+                    [f"{each[0]}{dash}{each[2]}" if each else _NOTHING for each in spreads],
+                ),
+                TableColumn("ratio", [_ratio(each, options.ascii_only) for each in ratios]),
+            ]
+        notes = [self.result.note(place) for place in range(len(sweep.rows))]
         if any(notes):
             columns.append(TableColumn("note", notes, is_text=True))
         yield WideTable(names, columns, box=SIMPLE)
-        yield self._legend()
-
-    def _columns(self, quantity: Quantity, is_ascii: bool) -> list[tuple[str, list[Text]]]:
-        places = range(len(self.result.sweep.rows))
-        own = [self.result.table.quartiles((place,), quantity) for place in places]
-        ratios = [self.result.table.ratios((place,), quantity) for place in places]
-        numbers = iter(format_values([x for each in own if each for x in each]))
-        texts = [None if each is None else [next(numbers) for _ in each] for each in own]
-        dash = "-" if is_ascii else "–"
-        return [
-            (self._heading(quantity), _cells(t[1] if t else None for t in texts)),
-            ("quartiles", _cells(f"{t[0]}{dash}{t[2]}" if t else None for t in texts)),
-            ("ratio", [_ratio(each, is_ascii) for each in ratios]),
-        ]
-
-    def _heading(self, quantity: Quantity) -> str:
-        return f"{quantity.symbol} [{unit_over(quantity.unit, self.result.sweep.are_slides)}]"
-
-    def _legend(self) -> Text:
-        sweep = self.result.sweep
         count = len(sweep.seeds)
         joints = ", ".join(sweep.joints) or f"all {len(sweep.experiment.world.joints)} joints"
-        note = slides_note(sweep.judged, sweep.experiment.slides)
         lines = [
             f"Medians and quartiles over {count} seed{'s' * (count > 1)}, totals over {joints}.",
             f"Ratio: run / {sweep.baseline} with the same seed on the same robot; median.",
-            note,
+            slides_note(sweep.judged, sweep.experiment.slides),
         ]
-        return Text("\n".join(filter(None, lines)), style="dim")
-
-
-def sweep_text(result: SweepResult) -> str:
-    """Return the table as plain text, one line a row however long it is."""
-    console = plain_console(UNLIMITED_WIDTH)
-    with console.capture() as capture:
-        console.print(SweepTable(result))
-    lines = (line.rstrip() for line in capture.get().splitlines())
-    return "\n".join(lines).strip("\n") + "\n"
-
-
-def _label(row: Row) -> Text:
-    return Text(row.label if row.baseline is not None else f"{row.label} (baseline)")
-
-
-def _cells(texts: Iterable[str | None]) -> list[Text]:
-    return [Text(_NOTHING if each is None else each) for each in texts]
+        yield Text("\n".join(filter(None, lines)), style="dim")
 
 
 def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
@@ -503,21 +444,23 @@ def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
     return Text(f"{format_ratio(ratios.median)}{marks[kind]}", style=STYLES[kind])
 
 
+def sweep_text(result: SweepResult) -> str:
+    """Return the table as plain text, one line a row however long it is."""
+    return grids_text([SweepTable(result)])
+
+
 def run_sweep(
-    sweep: Sweep, folder: ResultFolder, run: Runner, advanced: Callable[[Outcome], None]
+    sweep: Sweep, folder: ResultFolder, run: Runner, advanced: Callable[[RunRecord], None]
 ) -> SweepResult:
     """Run every row with every seed, and save what was run, also when interrupted."""
     folder.write(EXPERIMENT, sweep.experiment.text)
-    tasks = sweep.tasks()
-    keys = tuple(tasks)
     records: dict[tuple[object, ...], RunRecord] = {}
     result = SweepResult(sweep, records)
     try:
-        with closing(run(tuple(tasks.values()))) as batch:
-            for outcome in batch:
-                numbers = joint_numbers(outcome.indices)
-                records[keys[outcome.place]] = RunRecord(numbers, outcome.failure)
-                advanced(outcome)
+        with closing(run(sweep.tasks())) as batch:
+            for key, record in batch:
+                records[key] = record
+                advanced(record)
     finally:
         folder.write("sweep.csv", result.runs_csv())
         folder.write("sweep.json", result.json())

@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from rich.box import SIMPLE, Box
-from rich.console import Console, ConsoleOptions, JustifyMethod, RenderResult
+from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
@@ -301,7 +301,7 @@ class Grid(NamedTuple):
         yield ""
 
 
-def grids_text(grids: Iterable[Grid]) -> str:
+def grids_text(grids: Iterable[RenderableType]) -> str:
     """Return tables as plain text, one line a row however long it is."""
     console = plain_console(UNLIMITED_WIDTH)
     with console.capture() as capture:

@@ -9,7 +9,7 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.experiment.in_process import NoProgress
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
 from hpid_ros.nodes.core.middleware import RARE

@@ -19,13 +19,13 @@ from hpid_ros.experiment import graph_run
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph_run import run_on_graph
+from hpid_ros.experiment.in_process import NoProgress
 from hpid_ros.experiment.processes import (
     closed_environment,
     network_sockets,
     own_domain,
     require_no_sockets,
 )
-from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.messages.run import read_run
 
 

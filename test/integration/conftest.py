@@ -4,7 +4,7 @@ import pytest
 from harness.studies import ARM
 
 from hpid_ros.experiment import batch
-from hpid_ros.experiment.batch import simulated_indices
+from hpid_ros.experiment.batch import simulated
 from hpid_ros.experiment.description import load_experiment
 
 
@@ -30,7 +30,7 @@ def study_runs(monkeypatch):
 
     def watched(task, keeper):
         labels.append(task.label)
-        return simulated_indices(task, keeper)
+        return simulated(task, keeper)
 
-    monkeypatch.setattr(batch, "simulated_indices", watched)
+    monkeypatch.setattr(batch, "simulated", watched)
     return labels

@@ -15,11 +15,10 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.cli.main import main
+from hpid_ros.experiment.compare import compute, save
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph_run import run_on_graph
-from hpid_ros.experiment.in_process import run_without_ros, write_document
-from hpid_ros.experiment.progress import NoProgress, RunReport
-from hpid_ros.experiment.result import compute, save
+from hpid_ros.experiment.in_process import NoProgress, RunReport, run_without_ros, write_document
 from hpid_ros.experiment.result_folder import ResultFolder
 from hpid_ros.messages.messages import PoseColumns, read_poses, read_statuses
 from hpid_ros.messages.reports import POSE, POSES

@@ -10,10 +10,9 @@ from harness.engines import needs_bullet
 
 from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
 from hpid_ros.cli.main import COMMANDS, main
+from hpid_ros.experiment.compare import compute
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result import compute
+from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.simulation.settings import ENGINES
 
 

@@ -18,7 +18,7 @@ from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.experiment import cluster as client
 from hpid_ros.experiment.batch import RunTask, WorldKeeper, run_batch, simulate
-from hpid_ros.experiment.cluster import Cluster, Depot, differences, pack, traits, work
+from hpid_ros.experiment.cluster import Cluster, differences, pack, traits, unpack, work
 from hpid_ros.experiment.description import load_experiment
 
 STEP = share_folder() / "config" / "experiments" / "step.yaml"
@@ -87,7 +87,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_numbers_of_this_machine(
     file = experiment_file(duration=0.1)
     dying = cluster.worker()
     cluster.worker()
-    taken = client.Cluster._outcome
+    taken = client.Cluster._record
 
     def kill_one(self, *outcome):
         if dying.poll() is None:
@@ -95,7 +95,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_numbers_of_this_machine(
             dying.wait()
         return taken(self, *outcome)
 
-    monkeypatch.setattr(client.Cluster, "_outcome", kill_one)
+    monkeypatch.setattr(client.Cluster, "_record", kill_one)
     assert study(file, tmp_path / "far", "--scheduler", cluster.address) == DONE
     assert f"2 workers at {cluster.address}, 2 runs at once" in capsys.readouterr().err
     assert dying.returncode == -signal.SIGKILL
@@ -112,13 +112,12 @@ def leave_early(address, experiment):
         for k in range(40)
     ]
     with Cluster(address) as workers:
-        assert list(workers([])) == []
-        outcomes = workers(tasks)
-        first = next(outcomes)
-        outcomes.close()
-        (near,) = run_batch([tasks[first.place]], 1)
-        assert first.indices == near.indices
-        assert sorted(each.place for each in workers(tasks[:3])) == [0, 1, 2]
+        assert list(workers({})) == []
+        runs = workers(dict(enumerate(tasks)))
+        place, record = next(runs)
+        runs.close()
+        assert list(run_batch({place: tasks[place]}, 1)) == [(place, record)]
+        assert sorted(dict(workers(dict(enumerate(tasks[:3]))))) == [0, 1, 2]
 
 
 def test_a_lost_scheduler_leaves_what_was_run_and_another_one_carries_on(
@@ -126,14 +125,14 @@ def test_a_lost_scheduler_leaves_what_was_run_and_another_one_carries_on(
 ):
     file = experiment_file(duration=0.1)
     cluster.worker()
-    taken = client.Cluster._outcome
+    taken = client.Cluster._record
 
     def end_all(self, *outcome):
         found = taken(self, *outcome)
         cluster.end()
         return found
 
-    monkeypatch.setattr(client.Cluster, "_outcome", end_all)
+    monkeypatch.setattr(client.Cluster, "_record", end_all)
     assert study(file, tmp_path / "s", "--scheduler", cluster.address) == FAILED
     assert "is lost, and" in capsys.readouterr().err
     assert len((tmp_path / "s" / "runs.jsonl").read_text().splitlines()) >= 1
@@ -166,9 +165,9 @@ def test_a_worker_with_other_sources_is_refused_by_name(
 def test_a_worker_that_comes_later_is_looked_at_as_it_works(experiment_file):
     (task,), parcel = pack([RunTask.of(load_experiment(experiment_file()), "PID")])
     with pytest.raises(RunError, match=r"it has hpid_ros \S+ instead of 9\.9"):
-        work(parcel, dict(traits(("mujoco",)), hpid_ros="9.9"), 0, task)
+        work(parcel, dict(traits(("mujoco",)), hpid_ros="9.9"), task)
     with pytest.raises(RunError, match=r"it has no pybullet$"):
-        work(parcel, dict(traits(("mujoco",)), pybullet="3.2.7"), 0, task)
+        work(parcel, dict(traits(("mujoco",)), pybullet="3.2.7"), task)
     assert differences(traits(()), traits(("mujoco",))) == ""
     assert "mujoco" in traits(("mujoco",))
 
@@ -205,7 +204,7 @@ def test_a_robot_travels_with_its_meshes_and_keeps_its_numbers(path):
     task = replace(RunTask.of(experiment, "hPID"), periods=20)
     (packed,), parcel = pack([task])
     assert str(experiment.world.robot_description) not in repr(packed)
-    there = Depot().unpack(parcel, packed)
+    there = unpack(parcel, packed)
     with WorldKeeper() as keeper:
         here, away = simulate(task, keeper), simulate(there, keeper)
     for one, other in zip(here.joints, away.joints, strict=True):

@@ -210,7 +210,7 @@ def test_the_baseline_settles_within_the_limits_of_the_arm(name: str):
 @needs_bullet
 def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
     from hpid_ros.experiment.compare import compare
-    from hpid_ros.experiment.progress import NoProgress
+    from hpid_ros.experiment.in_process import NoProgress
 
     experiment = load_experiment(short("panda", tmp_path, duration=0.1), "mujoco")
     results = []

@@ -14,10 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import BagError, ExperimentError, SettingError
+from hpid_ros.experiment.compare import compute
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result import compute
+from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.messages import read_planar, read_vectors
 from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.task import PoseErrors, base_figures, relative

@@ -11,8 +11,7 @@ from harness.places import ROOT
 
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.cli.main import main
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.schema import experiment_schema
+from hpid_ros.experiment.description import experiment_schema, load_experiment
 
 FILES = sorted((ROOT / "config" / "experiments").glob("*.yaml"))
 

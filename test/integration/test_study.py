@@ -23,12 +23,11 @@ from hpid_ros.experiment.batch import (
     RunTask,
     WorldKeeper,
     simulate,
-    simulated_indices,
+    simulated,
 )
+from hpid_ros.experiment.compare import compute
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result import compute
+from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.experiment.study_plan import (
     JournalEntry,
     RunKey,
@@ -82,11 +81,11 @@ def test_the_last_second_is_the_last_second(study_files):
     experiment = load_experiment(study_files[0])
     task = replace(RunTask.of(experiment, "PID"), periods=1500, joints=("arm_joint_1",))
     with WorldKeeper() as keeper:
-        found = simulated_indices(task, keeper)
+        found = simulated(task, keeper)
         run = simulate(task, keeper)
     (series,) = [each for each in run.joints if each.joint == "arm_joint_1"]
     last = max(abs(error) for error in series.error[-1001:].tolist())
-    assert found.value(LAST_ERROR) == found.value(LAST_ERROR, "arm_joint_1") == last
+    assert found.value(LAST_ERROR) == found.numbers["arm_joint_1"][LAST_ERROR.key] == last
     assert last < max(abs(error) for error in series.error.tolist())
 
 
@@ -98,7 +97,7 @@ def test_every_experiment_runs_and_no_two_seeds_are_alike(path):
     baseline = replace(task, world=world, periods=200, joints=entry.joints)
     with WorldKeeper() as keeper:
         found = [
-            simulated_indices(replace(baseline, world=replace(baseline.world, seed=k)), keeper)
+            simulated(replace(baseline, world=replace(baseline.world, seed=k)), keeper)
             for k in range(3)
         ]
     for quantity in INDICES:
@@ -255,10 +254,10 @@ def test_a_failed_run_is_named_and_made_again_when_carried_on(
     def fragile(task, keeper):
         if task.label == "calm hPID seed=2":
             raise ZeroDivisionError("by zero")
-        return simulated_indices(task, keeper)
+        return simulated(task, keeper)
 
     with monkeypatch.context() as patched:
-        patched.setattr(batch, "simulated_indices", fragile)
+        patched.setattr(batch, "simulated", fragile)
         assert study(study_files[:1], tmp_path / "s") == FAILED
     assert "1 of 2 runs failed: ZeroDivisionError: by zero" in capsys.readouterr().out
     assert saved(tmp_path / "s")["runs"] == {"planned": 4, "made": 4, "failed": 1}
@@ -270,9 +269,9 @@ def test_an_interrupt_leaves_what_was_run(study_files, tmp_path, capsys, monkeyp
     def interrupted(task, keeper):
         if task.label == "calm hPID seed=2":
             raise KeyboardInterrupt
-        return simulated_indices(task, keeper)
+        return simulated(task, keeper)
 
-    monkeypatch.setattr(batch, "simulated_indices", interrupted)
+    monkeypatch.setattr(batch, "simulated", interrupted)
     assert study(study_files, tmp_path / "s") == 130
     assert f"what was run: {tmp_path / 's'}" in capsys.readouterr().err
     assert saved(tmp_path / "s")["runs"]["made"] == 3

@@ -21,35 +21,29 @@ from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment import batch
 from hpid_ros.experiment.batch import (
-    PAPER_QUANTITIES,
+    TOTAL,
     RunTask,
     WorldKeeper,
     run_batch,
     simulate,
-    simulated_indices,
+    simulated,
 )
+from hpid_ros.experiment.compare import compute
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result import compute
-from hpid_ros.metrics.quantities import INDICES
+from hpid_ros.experiment.in_process import NoProgress, run_without_ros
+from hpid_ros.metrics.quantities import INDICES, PAPER
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.simulation.engine import run_in_process
 from hpid_ros.simulation.world import World
 
 
 def seeded(experiment, label, count):
+    """Return runs of a controller, by seed."""
     task = RunTask.of(experiment, label)
-    return [
-        replace(task, label=f"seed={k}", world=replace(experiment.world, seed=k))
+    return {
+        k: replace(task, label=f"seed={k}", world=replace(experiment.world, seed=k))
         for k in range(count)
-    ]
-
-
-def numbers(indices):
-    """Return every number of a run."""
-    joints = {j: [indices.value(q, j) for q in INDICES] for j in indices.joints}
-    return joints, [indices.value(quantity) for quantity in PAPER_QUANTITIES]
+    }
 
 
 def test_numbers_are_those_of_the_comparison_to_the_last_bit(experiment_file, tmp_path):
@@ -59,9 +53,12 @@ def test_numbers_are_those_of_the_comparison_to_the_last_bit(experiment_file, tm
         run_without_ros(experiment, label, bag, NoProgress())
     for compared in compute(experiment, bags).comparison.runs:
         with WorldKeeper() as keeper:
-            found = simulated_indices(RunTask.of(experiment, compared.label), keeper)
-        assert numbers(found) == numbers(compared)
-        assert found.label == compared.label
+            found = simulated(RunTask.of(experiment, compared.label), keeper)
+        for joint in compared.joints:
+            values = {each.key: compared.value(each, joint) for each in INDICES}
+            assert values.items() <= found.numbers[joint].items()
+        totals = {each.key: compared.value(each) for each in PAPER}
+        assert totals.items() <= found.numbers[TOTAL].items()
 
 
 def trace(world, experiment):
@@ -97,14 +94,14 @@ def test_a_reset_world_is_a_fresh_one_whatever_happened_to_it(experiment, change
 
 
 def test_a_kept_world_changes_no_number_and_only_the_seed_keeps_it(experiment):
-    first, second = seeded(experiment, "hPID", 2)
+    first, second = seeded(experiment, "hPID", 2).values()
     with WorldKeeper() as keeper:
         world = keeper.at_start(first.world)
         assert keeper.at_start(second.world) is world
-        kept = [numbers(simulated_indices(task, keeper)) for task in (first, second, first)]
+        kept = [simulated(task, keeper) for task in (first, second, first)]
         assert keeper.at_start(replace(first.world, payload_mass=1.0)) is not world
     with WorldKeeper() as alone:
-        assert kept[1] == numbers(simulated_indices(second, alone))
+        assert kept[1] == simulated(second, alone)
     assert kept[0] == kept[2] != kept[1]
 
 
@@ -120,15 +117,17 @@ def test_the_record_is_what_the_loops_saw(experiment):
         assert series.reference.tolist() == wanted
 
 
-def test_outcomes_depend_neither_on_the_processes_nor_on_the_order(experiment):
-    tasks = [*seeded(experiment, "hPID", 3), *seeded(experiment, "PID", 2)]
-    alone = {o.place: numbers(o.indices) for o in run_batch(tasks, 1)}
-    assert list(alone) == list(range(5))
-    together = {o.place: numbers(o.indices) for o in run_batch(tasks, 2)}
-    assert together == alone
-    backwards = {4 - o.place: numbers(o.indices) for o in run_batch(tasks[::-1], 3)}
-    assert backwards == alone
-    assert list(run_batch([], 2)) == []
+def test_numbers_depend_neither_on_the_processes_nor_on_the_order(experiment):
+    tasks = {
+        (label, seed): task
+        for label in ("hPID", "PID")
+        for seed, task in seeded(experiment, label, 3).items()
+    }
+    alone = dict(run_batch(tasks, 1))
+    assert list(alone) == list(tasks)
+    assert dict(run_batch(tasks, 2)) == alone
+    assert dict(run_batch(dict(reversed(tasks.items())), 3)) == alone
+    assert list(run_batch({}, 2)) == []
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -136,10 +135,10 @@ def test_a_run_that_fails_is_named_and_the_others_go_on(experiment, jobs):
     tasks = seeded(experiment, "hPID", 4)
     of_one_joint = JointTrajectory(("wheel_left_joint",), (TrajectoryPoint(0, (0.0,)),))
     tasks[1] = replace(tasks[1], trajectory=of_one_joint)
-    outcomes = sorted(run_batch(tasks, jobs), key=lambda outcome: outcome.place)
-    assert [bool(outcome.failure) for outcome in outcomes] == [False, True, False, False]
-    assert "unknown joint 'wheel_right_joint'" in outcomes[1].failure
-    assert outcomes[1].indices is None
+    records = dict(run_batch(tasks, jobs))
+    assert [seed for seed in tasks if records[seed].failure] == [1]
+    assert "unknown joint 'wheel_right_joint'" in records[1].failure
+    assert not records[1].numbers
 
 
 class Deadly(JointTrajectory):
@@ -238,7 +237,7 @@ def test_a_point_that_is_the_baseline_has_ratio_one(experiment_file, tmp_path, c
     code, out, _ = run_cli([*options, "-o", tmp_path / "s", "--format", "csv"], capsys)
     assert code == DONE
     _, same, other = csv.DictReader(io.StringIO(out))
-    for quantity in PAPER_QUANTITIES:
+    for quantity in PAPER:
         assert float(same[f"{quantity.key}_ratio"]) == 1.0
     assert float(other["itae_ratio"]) != 1.0
 
@@ -284,9 +283,9 @@ def test_a_failed_run_is_told_and_makes_the_exit_code(
     def fragile(task, keeper):
         if task.label == "hPID mu=0.1 seed=2":
             raise ZeroDivisionError("by zero")
-        return simulated_indices(task, keeper)
+        return simulated(task, keeper)
 
-    monkeypatch.setattr(batch, "simulated_indices", fragile)
+    monkeypatch.setattr(batch, "simulated", fragile)
     options = [experiment_file(duration=0.1), "--vary", "mu=0.1", "--seeds", 3, "--jobs", 1]
     code, out, _ = run_cli([*options, "-o", tmp_path / "s"], capsys)
     assert code == FAILED

@@ -91,9 +91,9 @@ def test_named_joints_alone_are_varied_and_judged(experiment):
     sweep = planned(experiment, "mu=0.2", joints=["arm_joint_2"], seeds=1)
     changed = {each.joint for each in sweep.rows[1].loops if each.mu == 0.2}
     assert changed == {"arm_joint_2"}
-    (outcome, _) = run_batch(list(sweep.tasks().values()), 1)
-    assert list(outcome.indices.joints) == ["arm_joint_2"]
-    assert outcome.indices.totals.ivc == outcome.indices.joints["arm_joint_2"].ivc
+    ((_, record), _) = run_batch(sweep.tasks(), 1)
+    assert list(record.numbers) == ["arm_joint_2", TOTAL]
+    assert record.numbers[TOTAL]["ivc"] == record.numbers["arm_joint_2"]["ivc"]
 
 
 def test_each_robot_has_its_own_baseline(experiment):

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.main import main
 from hpid_ros.control.homogeneous_pid import is_hurwitz
 from hpid_ros.experiment import batch
-from hpid_ros.experiment.batch import in_processes, run_batch, simulated_indices
+from hpid_ros.experiment.batch import run_batch, simulated
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.search import (
     Cost,
@@ -28,6 +29,7 @@ from hpid_ros.experiment.search import (
 from hpid_ros.stability import gain_check as degree_check
 
 ARM = ["arm_joint_1", "arm_joint_2"]
+ONE = partial(run_batch, jobs=1)
 
 
 @pytest.fixture
@@ -145,8 +147,8 @@ def test_the_search_begins_at_the_baseline_and_never_ends_above_it(experiment):
     plan = planned(experiment, "hpid")
     seeds = list(plan.training_seeds)
     assert not set(seeds) & {experiment.seed + k for k in range(1000)}  # those of studies
-    assert [task.world.seed for task in plan.tasks("x", ())] == seeds
-    search = Search(plan, in_processes(1))
+    assert [task.world.seed for task in plan.tasks("x", ()).values()] == seeds
+    search = Search(plan, ONE)
     search.run()
     assert len(search.evaluations) == 12
     (start,) = [each for each in search.evaluations if each.values["mu"] == 0.0]
@@ -159,7 +161,7 @@ def test_unstable_gains_are_refused_and_never_run(experiment):
     ran = []
 
     def watched(tasks):
-        ran.extend(tasks)
+        ran.extend(tasks.values())
         return run_batch(tasks, 1)
 
     bounds = {"integral": (1.0, 100.0)}
@@ -186,7 +188,7 @@ def test_uncertified_degrees_are_refused_unless_they_are_asked_for(
 
     monkeypatch.setattr(degree_check, "certify_degree", only_positive)
     plan = planned(experiment, "hpid", must_be_certified=must_be_certified)
-    search = Search(plan, in_processes(1))
+    search = Search(plan, ONE)
     search.run()
     negative = [each for each in search.evaluations if each.values["mu"] < 0.0]
     assert negative
@@ -208,7 +210,7 @@ def test_joints_of_one_rule_are_certified_once(experiment, monkeypatch):
 
 
 def test_refining_a_joint_changes_no_other(experiment):
-    search = Search(planned(experiment, "pid", evaluations=10, per_joint=True), in_processes(1))
+    search = Search(planned(experiment, "pid", evaluations=10, per_joint=True), ONE)
     search.run()
     assert [each.stage for each in search.evaluations[::10]] == ["all", *ARM]
     first = min(search.evaluations[:10], key=lambda each: each.cost)
@@ -289,9 +291,9 @@ def test_an_interrupt_leaves_what_was_found(path, tmp_path, capsys, monkeypatch)
     def interrupted(task, keeper):
         if task.label.startswith("point 7 "):  # in the middle of a generation
             raise KeyboardInterrupt
-        return simulated_indices(task, keeper)
+        return simulated(task, keeper)
 
-    monkeypatch.setattr(batch, "simulated_indices", interrupted)
+    monkeypatch.setattr(batch, "simulated", interrupted)
     code, folder = tune(path, tmp_path, "--law", "pid", "-j", 1)
     assert code == INTERRUPTED
     saved = json.loads((folder / "tune.json").read_text())
@@ -305,7 +307,7 @@ def test_a_baseline_that_cannot_be_run_is_a_failure(path, tmp_path, capsys, monk
     def broken(task, keeper):
         raise ZeroDivisionError("by zero")
 
-    monkeypatch.setattr(batch, "simulated_indices", broken)
+    monkeypatch.setattr(batch, "simulated", broken)
     code, _ = tune(path, tmp_path, "--law", "pid", "-j", 1)
     assert code == FAILED
     assert "the baseline cannot be run: ZeroDivisionError: by zero" in capsys.readouterr().err

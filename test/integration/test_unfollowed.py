@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hpid_ros.experiment.compare import Result, save_numbers
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.result import Result, save_numbers
 from hpid_ros.experiment.result_folder import ResultFolder
 from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.metrics import Comparison, run_indices

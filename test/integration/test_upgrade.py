@@ -324,8 +324,7 @@ def result(tmp_path_factory):
     """Return the folder of a run: parameter files of its controllers and its bag."""
     from hpid_ros.base.files import share_folder
     from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.experiment.in_process import run_without_ros, write_run_files
-    from hpid_ros.experiment.progress import NoProgress
+    from hpid_ros.experiment.in_process import NoProgress, run_without_ros, write_run_files
 
     folder = tmp_path_factory.mktemp("upgrade")
     document = yaml.safe_load((share_folder() / "config/experiments/tracking.yaml").read_text())

@@ -12,8 +12,7 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.control.controller_files import settings_from_parameter_file
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.storage import PARAMETERS, missed_entries
 from hpid_ros.tuning.upgrade_prediction import read_prediction
 

@@ -93,7 +93,7 @@ def _run_in_both(options: argparse.Namespace) -> int:
     """Run the comparison in both engines, one after the other, and print how far they differ."""
     from hpid_ros.cli.terminal import RunProgress, output_console, print_result_places
     from hpid_ros.experiment.compare import compare_engines
-    from hpid_ros.experiment.progress import named
+    from hpid_ros.experiment.in_process import named
 
     engines = chosen_engines(options)
     experiments = [named_experiment(options.experiment, engine) for engine in engines]

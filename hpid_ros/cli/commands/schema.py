@@ -32,7 +32,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the schema."""
-    from hpid_ros.experiment.schema import experiment_schema
+    from hpid_ros.experiment.description import experiment_schema
 
     print(json.dumps(experiment_schema(), indent=2))
     return DONE

@@ -25,8 +25,8 @@ from hpid_ros.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hpid_ros.experiment.study import StudyResult
     from hpid_ros.experiment.study_plan import StudyPlan
-    from hpid_ros.experiment.study_result import StudyResult
 
 
 def add(commands: Any) -> None:
@@ -78,7 +78,8 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the study and print its tables."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.experiment.study_run import kept_records, run_study, study_folder
+    from hpid_ros.experiment.study import run_study, study_folder
+    from hpid_ros.experiment.study_plan import kept_records
 
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
@@ -103,7 +104,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> StudyPlan:
-    from hpid_ros.experiment.study_plan import ALL, Shard, plan_study
+    from hpid_ros.experiment.study_plan import ALL, plan_study, shard_of
 
     if options.merge and (options.shard or options.resume):
         raise SettingError("--merge makes no run: neither --shard nor --resume goes with it")
@@ -114,12 +115,13 @@ def _plan(options: argparse.Namespace) -> StudyPlan:
         joints=options.joint,
         seeds=options.seeds,
         engines=engines,
-        shard=Shard.parse(options.shard) if options.shard else ALL,
+        shard=shard_of(options.shard) if options.shard else ALL,
     )
 
 
 def _merge(options: argparse.Namespace, plan: StudyPlan, console: Console) -> int:
-    from hpid_ros.experiment.study_run import JOURNAL, merged, save, study_folder
+    from hpid_ros.experiment.study import merged, save, study_folder
+    from hpid_ros.experiment.study_plan import JOURNAL
 
     result = merged(plan, options.merge)
     inputs = [*plan.inputs, *(part / JOURNAL for part in options.merge)]
@@ -147,7 +149,7 @@ def _print(result: StudyResult, form: str) -> None:
     import json
 
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.experiment.study_run import grids, runs_csv, study_markdown, study_text
+    from hpid_ros.experiment.study import grids, runs_csv, study_markdown, study_text
 
     if form == "text" and sys.stdout.isatty():
         console = output_console()

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.experiment.batch import TOTAL, RunRecord
 from hpid_ros.experiment.search import (
     EFFORT_PARAMETERS,
     HPID_PARAMETERS,
@@ -15,7 +16,7 @@ from hpid_ros.experiment.search import (
     WorstExcess,
     mean_ratios,
 )
-from hpid_ros.metrics.results import JointIndices, RunIndices
+from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.report.plots import pareto_front
 
 PARAMETERS = st.sampled_from([*PID_PARAMETERS, *HPID_PARAMETERS, *EFFORT_PARAMETERS])
@@ -35,14 +36,16 @@ def test_the_linear_rival_has_no_fewer_free_parameters():
     assert len(HPID_PARAMETERS) == len(EFFORT_PARAMETERS) == 3 < len(PID_PARAMETERS)
 
 
-def indices(label, *values):
-    totals = JointIndices(*values[:3])
-    return RunIndices(label, {"j": totals}, totals, *values[3:])
+def records(*runs):
+    """Return made-up runs by seed."""
+    keys = [quantity.key for quantity in PAPER]
+    numbers = [dict(zip(keys, values, strict=True)) for values in runs]
+    return dict(enumerate(RunRecord({TOTAL: each}) for each in numbers))
 
 
 def test_the_cost_is_the_geometric_mean_of_the_ratios():
-    baseline = [indices("b", 1.0, 2.0, 3.0, 4.0, 5.0), indices("b", 2.0, 2.0, 2.0, 2.0, 2.0)]
-    runs = [indices("r", 4.0, 2.0, 3.0, 4.0, 5.0), indices("r", 2.0, 1.0, 2.0, 2.0, 2.0)]
+    baseline = records((1.0, 2.0, 3.0, 4.0, 5.0), (2.0, 2.0, 2.0, 2.0, 2.0))
+    runs = records((4.0, 2.0, 3.0, 4.0, 5.0), (2.0, 1.0, 2.0, 2.0, 2.0))
     ratios = mean_ratios(runs, baseline)
     assert ratios == pytest.approx(
         {"ivc": 2.0, "iavc": math.sqrt(0.5), "itae": 1.0, "effort_l2": 1.0, "error_l2": 1.0}
@@ -53,10 +56,10 @@ def test_the_cost_is_the_geometric_mean_of_the_ratios():
 
 
 def test_a_zero_against_a_zero_is_one_and_anything_against_zero_costs_infinitely():
-    zero, some = indices("z", 0.0, 1.0, 1.0, 1.0, 1.0), indices("s", 1.0, 1.0, 1.0, 1.0, 1.0)
-    assert Cost.even().of(mean_ratios([zero], [zero])) == 1.0
-    assert Cost.even().of(mean_ratios([some], [zero])) == math.inf
-    assert Cost({"itae": 1.0}).of(mean_ratios([some], [zero])) == 1.0
+    zero, some = records((0.0, 1.0, 1.0, 1.0, 1.0)), records((1.0, 1.0, 1.0, 1.0, 1.0))
+    assert Cost.even().of(mean_ratios(zero, zero)) == 1.0
+    assert Cost.even().of(mean_ratios(some, zero)) == math.inf
+    assert Cost({"itae": 1.0}).of(mean_ratios(some, zero)) == 1.0
 
 
 def test_limits_make_the_worst_index_the_cost():

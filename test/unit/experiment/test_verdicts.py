@@ -4,10 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.experiment.study_result import (
+from hpid_ros.experiment.study import (
     CLAIMS,
     NUMERIC_CLAIMS,
-    ClaimVerdict,
     Evidence,
     verdict,
 )
@@ -63,9 +62,9 @@ def test_enough_joints_are_as_many_as_four_of_six(joints):
 def test_a_verdict_names_where_a_claim_holds():
     good, bad = evidence(), evidence(ivc=0.9)
     each = claim("ivc")
-    assert verdict(each, {"a": good, "b": good}) == (ClaimVerdict.HOLDS, ("a", "b"))
-    assert verdict(each, {"a": good, "b": bad}) == (ClaimVerdict.HOLDS_WHEN, ("a",))
-    assert verdict(each, {"b": bad}) == (ClaimVerdict.DOES_NOT_HOLD, ())
-    assert verdict(claim("overshoot"), {"a": good}) == (ClaimVerdict.UNKNOWN, ())
+    assert verdict(each, {"a": good, "b": good}) == ("holds", ("a", "b"))
+    assert verdict(each, {"a": good, "b": bad}) == ("holds only when", ("a",))
+    assert verdict(each, {"b": bad}) == ("does not hold", ())
+    assert verdict(claim("overshoot"), {"a": good}) == ("not measured", ())
     with_steps = {"a": good, "b": evidence(overshoot=0.5)}
-    assert verdict(claim("overshoot"), with_steps) == (ClaimVerdict.HOLDS, ("b",))
+    assert verdict(claim("overshoot"), with_steps) == ("holds", ("b",))

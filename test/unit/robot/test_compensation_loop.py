@@ -17,7 +17,7 @@ from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulated_indices
+from hpid_ros.experiment.batch import TOTAL, RunTask, WorldKeeper, simulated
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import controllers_document
 from hpid_ros.motion import Column, Knot
@@ -276,7 +276,7 @@ def test_joints_that_are_not_driven_are_locked_and_an_unknown_inertia_is_the_mod
     (only,) = experiment.controllers["one"]
     assert len(only.model.locked) == 7
     assert 0.2 < only.inertia < 0.8
-    assert simulated_indices(RunTask.of(experiment, "one"), WorldKeeper()).totals.itae > 0.0
+    assert simulated(RunTask.of(experiment, "one"), WorldKeeper()).numbers[TOTAL]["itae"] > 0.0
 
 
 def test_another_robot_in_the_model_counts_in_the_digest(experiment_file, tmp_path):
