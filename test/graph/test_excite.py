@@ -25,16 +25,11 @@ from hpid_ros.motion.excitation import Design, Wish, plan
 SHORT = Design(duration=6.0, band=(0.3, 3.0), fade=0.5)
 
 
-@pytest.fixture
-def turntable(harness, tmp_path):
-    start_turntable(harness, tmp_path)
-    return harness
-
-
-@pytest.mark.alone  # what a joint is shows in real time, where nobody is late
+@pytest.mark.alone  # in lock-step its timeouts are shorter on the clock of the wall
 def test_an_excitation_is_shown_carried_out_recorded_and_tells_what_the_joint_is(
-    turntable, tmp_path, capsys
+    harness, tmp_path, capsys
 ):
+    start_turntable(harness, tmp_path, "lockstep")
     bag, options = tmp_path / "bag", ["--duration", "5", "--frequencies", "0.4", "3"]
     picture = tmp_path / "plan.png"
     assert main(["excite", *options, "--dry-run", "--plot", str(picture)]) == 0
@@ -43,10 +38,10 @@ def test_an_excitation_is_shown_carried_out_recorded_and_tells_what_the_joint_is
     assert "its inertia is taken from its gains" in shown
     assert picture.stat().st_size > 10_000
     assert not bag.exists()
-    assert np.ptp(positions(turntable)) < 1e-3
+    assert np.ptp(positions(harness)) < 1e-3
     assert main(["excite", *options, "-o", str(bag), "--yes"]) == 0
     assert f"hpid identify {bag}" in capsys.readouterr().out
-    assert wait_for_rest(turntable) == pytest.approx(0.0, abs=0.02)
+    assert wait_for_rest(harness) == pytest.approx(0.0, abs=0.02)
     assert main(["excite", *options, "-o", str(bag), "--yes"]) == 2  # nothing is written over
     assert main(["identify", str(bag), "--json", str(tmp_path / "found.json")]) == 0
     found = read_estimates(tmp_path / "found.json")
@@ -60,7 +55,8 @@ def read_estimates(file):
     return {name: each["value"] for name, each in joint["estimates"].items()}
 
 
-def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(turntable, tmp_path):
+def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness, tmp_path):
+    start_turntable(harness, tmp_path)
     graph = running_graph()
     controllers = chosen(graph, [])
     (bounds,) = [bounds_of(each, INERTIA) for each in controllers]
@@ -69,19 +65,19 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(turntab
         raise KeyboardInterrupt
 
     def limit_effort():
-        turntable.set_parameters("turn_controller", u_clamp_max=0.01, u_clamp_min=-0.01)
+        harness.set_parameters("turn_controller", u_clamp_max=0.01, u_clamp_min=-0.01)
 
     cases = {
         "interrupted": (interrupt, "it was interrupted"),
         "weak": (limit_effort, "from its reference, its tolerance is"),
     }
     for name, (act, reason) in cases.items():
-        made = plan([replace(bounds, position=positions(turntable)[-1])], Wish(), SHORT)
+        made = plan([replace(bounds, position=positions(harness)[-1])], Wish(), SHORT)
         ending = carry_out(
             *(made, controllers, graph, tmp_path / name, "joint_states"), in_the_middle(act)
         )
-        turntable.set_parameters("turn_controller", u_clamp_max=10.0, u_clamp_min=-10.0)
-        wait_for_rest(turntable)
+        harness.set_parameters("turn_controller", u_clamp_max=10.0, u_clamp_min=-10.0)
+        wait_for_rest(harness)
         assert reason in ending.reason
         assert ending.is_interrupted == (name == "interrupted")
         assert (tmp_path / name / "metadata.yaml").exists()

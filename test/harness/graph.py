@@ -44,7 +44,10 @@ class Harness:
             domain_id=domain,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        self.node = rclpy.create_node("robot", context=self.context)
+        # Whoever asks it for its parameters while the test does something else would wait in vain.
+        self.node = rclpy.create_node(
+            "robot", context=self.context, start_parameter_services=False
+        )
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.processes = NodeGroup(environment, folder)

@@ -17,7 +17,7 @@ from urllib.request import Request, urlopen
 import pytest
 from harness.browser import launched
 
-pytestmark = [pytest.mark.slow, pytest.mark.alone]  # a browser is slow beside other tests
+pytestmark = pytest.mark.slow
 
 TESTS = Path(__file__).parents[2]
 LATE = 60_000  # [ms]
@@ -63,9 +63,11 @@ class Server:
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with launched() as found:
-        yield found
+def context():
+    with launched() as browser:
+        made = browser.new_context(viewport={"width": 1300, "height": 950})
+        made.set_default_timeout(LATE)
+        yield made
 
 
 @pytest.fixture(scope="module")
@@ -83,18 +85,12 @@ def server(shared):
 
 
 @pytest.fixture
-def open_page(browser, server):
+def open_page(context, server):
     """Return a function that opens the page and fails the test on any error or foreign request."""
-    contexts, wrong, requests = [], [], []
+    pages, wrong, requests = [], [], []
 
-    def opened(address=None, width=1300, scheme="light", context=None):
-        if context is None:
-            context = browser.new_context(
-                viewport={"width": width, "height": 950}, color_scheme=scheme
-            )
-            context.set_default_timeout(LATE)
-            contexts.append(context)
-        page = context.new_page()
+    def opened(address=None):
+        pages.append(page := context.new_page())
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.on("console", lambda said: said.type == "error" and wrong.append(said.text))
         page.on("request", lambda request: requests.append(request.url))
@@ -102,8 +98,8 @@ def open_page(browser, server):
         return page
 
     yield opened
-    for context in contexts:
-        context.close()
+    for page in pages:
+        page.close()
     # a page that is opened while another one closes may find its socket closed
     assert [each for each in wrong if "WebSocket" not in each] == []
     local = re.compile(r"(https?|ws)://127\.0\.0\.1:\d+/|data:|blob:")
@@ -231,7 +227,7 @@ def test_escape_stops_every_controller_also_out_of_a_field(open_page, server):
 def test_a_second_page_looks_on_until_its_person_takes_control_but_may_stop(open_page, server):
     first = open_page()
     choose(first, 1)
-    second = open_page(server.root, context=first.context)
+    second = open_page(server.root)
     second.get_by_text("another page has control: this one looks on").wait_for()
     choose(second, 1)
     assert second.get_by_role("spinbutton", name=re.compile("proportional")).is_disabled()
@@ -264,7 +260,9 @@ def test_a_page_that_is_closed_in_the_middle_of_a_drag_changes_nothing(open_page
 
 
 def test_curves_are_drawn_from_frames_and_each_change_is_marked(open_page, server):
-    page = open_page(width=800, scheme="dark")  # a tablet
+    page = open_page()
+    page.set_viewport_size({"width": 800, "height": 950})  # a tablet
+    page.emulate_media(color_scheme="dark")
     choose(page, 1, 2)
     page.wait_for_function(
         """() => {
@@ -285,14 +283,13 @@ def test_curves_are_drawn_from_frames_and_each_change_is_marked(open_page, serve
     )
 
 
-def test_without_the_token_or_from_another_page_nothing_is_to_be_had(browser, server):
+def test_without_the_token_or_from_another_page_nothing_is_to_be_had(context, server):
     for headers in ({}, {"Cookie": "hpid_live_1=x"}, {"Origin": "http://evil.example"}):
         with pytest.raises(HTTPError) as refused:
             urlopen(Request(server.root, headers=headers))
         assert refused.value.code in (401, 403)
-    context = browser.new_context()
-    context.new_page().goto(server.url)  # this browser has the cookie now
     other = context.new_page()
+    other.goto(server.url)  # this browser has the cookie now
     other.goto("data:text/html,<p>another page</p>")
     answer = other.evaluate(
         """async (root) => {
@@ -311,19 +308,15 @@ def test_without_the_token_or_from_another_page_nothing_is_to_be_had(browser, se
         }""",
         server.root,
     )
-    context.close()
+    other.close()
     assert answer[0] == "closed"
     assert server.nothing_more()
 
 
-def test_when_the_server_is_gone_the_page_says_so(browser):
-    server = Server()
-    context = browser.new_context()
-    context.set_default_timeout(LATE)
+def test_when_the_server_is_gone_the_page_says_so(context, server):
     page = context.new_page()
     page.goto(server.url)
     page.wait_for_function("window.hpidLive.frames > 5")
     assert not page.locator(".lost-banner").is_visible()
-    server.end()
+    server.end()  # the last test of this file
     page.locator(".lost-banner").wait_for(state="visible")
-    context.close()
