@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from harness.health import change
+from harness.health import change, state
 from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, wait_for_rest
 
 from hpid_ros.control.settings import PARAMETERS
@@ -40,7 +40,10 @@ def turntable(module_harness, tmp_path_factory):
 
 @pytest.fixture
 def bench(turntable, tmp_path):
-    return Bench(turntable, tmp_path)
+    """Return the bench, whose controller is active again when a test has ended, however."""
+    yield Bench(turntable, tmp_path)
+    if state(turntable, NODE) != "active":
+        assert change(turntable, "activate", NODE)
 
 
 class Bench:
@@ -64,6 +67,19 @@ class Bench:
         design = Design(kind="minimum_jerk", duration=8.0)
         made = plan([replace(bounds, position=position)], Wish(amplitude=0.4), design)
         return made, self.controllers, self.graph, self.folder / name
+
+    def stop_the_joint(self):
+        """Deactivate its controller, and return when its last command, a zero, has come."""
+        assert change(self.harness, "deactivate", NODE)
+        commands = self.harness.commands
+
+        def is_left():
+            before, last = commands[-2:]
+            return last.effort == (0.0,) and last.stamp_ns == before.stamp_ns  # a second answer
+
+        self.harness.wait(is_left, what="the last command")
+        self.harness.seen.clear()
+        commands.clear()
 
     def reach(self, motion, condition, press=False):
         def is_there():
@@ -157,12 +173,10 @@ def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
 def test_a_press_cannot_move_a_stopped_joint(bench):
     motion = HeldMotion(*bench.order("pressed"))
     bench.reach(motion, lambda: motion.stage == "ready")
-    assert change(bench.harness, "deactivate", NODE)
-    bench.harness.seen.clear()
-    bench.harness.commands.clear()
+    bench.stop_the_joint()
     bench.reach(motion, lambda: False, press=True)  # until it ends by itself
     assert motion.ending.reason
-    assert all(each.effort[0] == 0.0 for each in bench.harness.commands)
+    assert not bench.harness.commands
     assert np.ptp([each.position[0] for each in bench.harness.seen]) < 1e-9
 
     # Nor does what was told meanwhile move it when it is active again.
@@ -173,14 +187,13 @@ def test_a_press_cannot_move_a_stopped_joint(bench):
 def test_a_motion_that_is_let_go_after_its_joint_was_stopped_ends_at_once(bench):
     motion = HeldMotion(*bench.order("released"))
     bench.reach(motion, lambda: motion.stage == "ready")
-    assert change(bench.harness, "deactivate", NODE)
+    bench.stop_the_joint()
     positions(bench.harness)  # until the motion knows that nobody tells a reference
     began = time.monotonic()
     motion.release()
     assert bench.ending(motion).reason == "the button was released before anything moved"
     assert time.monotonic() - began < 5.0  # not after all that it would wait for
     assert not bench.harness.is_there("hpid_exciter")
-    assert change(bench.harness, "activate", NODE)
 
 
 def test_whoever_allows_a_longer_time_may_press_less_often(bench):
