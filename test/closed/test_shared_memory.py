@@ -113,16 +113,16 @@ def test_a_living_node_keeps_its_shared_memory_and_a_killed_one_does_not(harness
 
 
 def test_a_domain_in_which_somebody_listens_is_nobody_elses(tmp_path, monkeypatch):
-    """A robot's graph has reserved none."""
+    """A robot's graph has reserved none. No other test has one of these two."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("hpid_ros.experiment.processes._DOMAINS", (90, 91))
+    monkeypatch.setattr("hpid_ros.experiment.processes._DOMAINS", (222, 223))
     monkeypatch.setattr("hpid_ros.experiment.processes.SHARED_MEMORY", tmp_path)
     with own_domain() as first, own_domain() as second:
-        assert (first, second) == (90, 91)
+        assert (first, second) == (222, 223)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
-        robot.bind(("127.0.0.1", 7400 + 250 * 90 + 10))
+        robot.bind(("127.0.0.1", 7400 + 250 * 222 + 10))
         with own_domain() as domain:
-            assert domain == 91
-        leave(tmp_path, f"fastrtps_port{7400 + 250 * 91}", "_sl")
+            assert domain == 223
+        leave(tmp_path, f"fastrtps_port{7400 + 250 * 223}", "_sl")
         with pytest.raises(RunError), own_domain():
             pass
