@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import struct
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,147 +20,57 @@ from std_msgs.msg import Float64, Float64MultiArray
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.live.controllers import Samples
-from hpid_ros.messages.batches import SLACK, Integers
-from hpid_ros.messages.columns import LAYOUTS, WORD, Layout, LayoutFamily, Words, gather_words
-from hpid_ros.messages.joint_state import ENCAPSULATION
+from hpid_ros.messages.batches import Integers
+from hpid_ros.messages.columns import FLOAT64, FLOAT64_MULTI_ARRAY, JOINT_STATE
+from hpid_ros.messages.joint_state import (
+    STAMP_OFFSET,
+    Cursor,
+    EffortReader,
+    JointStateFields,
+    decode_joint_state,
+)
+from hpid_ros.messages.reports import decode_numbers
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.rclpy_internals import taker
-
-_MOST_FAMILIES = 64  # of layouts; a topic has one or two
-_MOST_LEARNED = 64  # layouts in one batch; a robot has fewer joints, and a flood is passed over
-
-
-class Part(NamedTuple):
-    """Messages of one layout."""
-
-    layout: Layout
-    rows: Words  # the messages, (n, words)
-    order: Integers  # their places among all messages of the batch, (n,), ascending
-
-    def numbers(self, field: str, index: int) -> Numbers | None:
-        """Return one number of each message, (n,); None where the field is not one a name."""
-        length = self.layout.fields[field].length
-        if self.layout.names and length != len(self.layout.names):
-            return None
-        return self.layout.column(self.rows, field, index) if index < length else None
-
-
-class MessageColumns:
-    """Reads the numbers of a topic's messages; their layouts are learned once.
-
-    What is no message of the type is passed over.
-    """
-
-    def __init__(self, type: str) -> None:
-        self._learn = LAYOUTS[type]
-        self._families: dict[int, list[LayoutFamily]] = {}
-
-    def read(self, raws: Sequence[bytes]) -> list[Part]:
-        """Return messages by their layouts, in the order in which they came within each."""
-        if not raws:
-            return []
-        sizes = np.fromiter(map(len, raws), np.int64, len(raws))
-        slack = bytes(SLACK)
-        buffer = np.frombuffer(b"".join((slack, *raws, slack)), dtype=np.uint8)
-        starts = SLACK + np.cumsum(sizes) - sizes
-        parts: list[Part] = []
-        for size in np.unique(sizes).tolist():
-            here = np.flatnonzero(sizes == size)
-            words = -(-(size + ENCAPSULATION) // WORD)
-            rows = gather_words(buffer, starts[here] - ENCAPSULATION, words)
-            parts += self._read_size(raws, rows, here, size)
-        return parts
-
-    def _read_size(
-        self, raws: Sequence[bytes], rows: Words, here: Integers, size: int
-    ) -> Iterator[Part]:
-        """Yield messages of one length by their layouts."""
-        is_left = np.ones(len(rows), dtype=np.bool_)
-        for family in self._families.get(size, ()):
-            for layout, claims in family.split(rows):
-                claims &= is_left
-                yield Part(layout, rows[claims], here[claims])
-                is_left &= ~claims
-        for _ in range(_MOST_LEARNED):
-            if not is_left.any():
-                return
-            first = int(np.argmax(is_left))
-            is_left[first] = False
-            learned = self._learned(raws[here[first]], size)
-            if learned is not None:
-                claims = ((rows & learned.mask) == learned.values).all(axis=1) & is_left
-                claims[first] = True
-                yield Part(learned, rows[claims], here[claims])
-                is_left &= ~claims
-
-    def _learned(self, raw: bytes, size: int) -> Layout | None:
-        """Learn a message's layout; None where it is none of the type."""
-        try:
-            layout = self._learn(raw)
-        except MessageError:
-            return None
-        self._remember(layout, size)
-        return layout
-
-    def _remember(self, layout: Layout, size: int) -> None:
-        if sum(map(len, self._families.values())) >= _MOST_FAMILIES:
-            self._families.clear()
-        families = self._families.setdefault(size, [])
-        for family in families:
-            if family.accepts(layout):
-                family.add(layout)
-                return
-        families.append(LayoutFamily(layout))
 
 
 class JointNumbers(NamedTuple):
     """One joint's part of some messages, in the order in which they came."""
 
     stamps_ns: Integers  # [ns] of the messages, (n,)
-    position: Numbers  # [rad] (n,); nan where messages have none, as in the others
-    velocity: Numbers  # [rad/s] (n,)
-    effort: Numbers  # [N m] (n,)
+    # position [rad], velocity [rad/s] and effort [N m], nan where messages have none, (n, 3)
+    values: Numbers
 
     def picked(self, which: slice | Integers) -> JointNumbers:
         """Return some of them."""
-        return JointNumbers(
-            self.stamps_ns[which], self.position[which], self.velocity[which], self.effort[which]
-        )
+        return JointNumbers(self.stamps_ns[which], self.values[which])
 
 
-def joint_numbers(parts: Sequence[Part], joint: str) -> JointNumbers:
+def joint_numbers(messages: Sequence[JointStateFields], joint: str) -> JointNumbers:
     """Return one joint's numbers out of joint states; of each message the first that names it."""
-    found = [part for part in parts if joint in part.layout.names]
-    stamps = [part.layout.stamps_ns(part.rows, slice(None)) for part in found]
-    columns = [
-        [_or_nan(part, field, part.layout.names.index(joint)) for part in found]
-        for field in ("position", "velocity", "effort")
-    ]
-    if not found:
-        none = np.zeros(0)
-        return JointNumbers(np.zeros(0, dtype=np.int64), none, none, none)
-    if len(found) == 1:
-        return JointNumbers(stamps[0], *(np.ascontiguousarray(each[0]) for each in columns))
-    order = np.argsort(np.concatenate([part.order for part in found]))
-    return JointNumbers(
-        np.concatenate(stamps)[order], *(np.concatenate(each)[order] for each in columns)
-    )
+    stamps, rows = [], []
+    for each in messages:
+        if joint in each.names:
+            at, count = each.names.index(joint), len(each.names)
+            arrays = each.position, each.velocity, each.effort
+            rows.append([array[at] if len(array) == count else math.nan for array in arrays])
+            stamps.append(each.stamp_ns)
+    return JointNumbers(np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, 3))
 
 
-def _or_nan(part: Part, field: str, index: int) -> Numbers:
-    numbers = part.numbers(field, index)
-    return np.full(len(part.rows), np.nan) if numbers is None else numbers
+def _command_reader(kind: str) -> Callable[[bytes], Any]:
+    """Return what reads a command: fields of a joint state, or the number of one without names."""
+    if kind == FLOAT64:
+        return lambda raw: Cursor(raw, "Float64").double()
+    if kind == FLOAT64_MULTI_ARRAY:
+        return lambda raw: decode_numbers(raw)[0]
+    efforts = EffortReader()  # several times as quick, for the most frequent of all messages
 
+    def read(raw: bytes) -> JointStateFields:
+        stamp_ns, names, effort = efforts.read(raw)
+        return JointStateFields(stamp_ns, "", names, (), (), effort)
 
-def bare_numbers(parts: Sequence[Part]) -> Numbers:
-    """Return the first number of each message without stamps and names, in their order, (n,)."""
-    found = [(part.order, part.numbers("data", 0)) for part in parts]
-    known = [(order, numbers) for order, numbers in found if numbers is not None]
-    if not known:
-        return np.zeros(0)
-    order = np.argsort(np.concatenate([order for order, _ in known]))
-    numbers: Numbers = np.concatenate([numbers for _, numbers in known])[order]
-    return numbers
+    return read
 
 
 class ControlClock:
@@ -232,15 +143,6 @@ class JointClock:
 _BESIDE = 1_000_000  # [ns]; an answer may be stamped beside its state, and come before it
 
 
-class Heard(NamedTuple):
-    """What came of one joint, by where it came from."""
-
-    states: JointNumbers
-    commands: JointNumbers  # its commands, stamped with the states that they answer
-    bare_commands: Numbers  # [N m] its commands where they have no stamps, (n,)
-    references: JointNumbers  # what its controller told as its reference
-
-
 class JointSampler:
     """Makes samples of what comes of one joint."""
 
@@ -248,43 +150,36 @@ class JointSampler:
         self.clock = JointClock(clock)
         self._has_commands = False
 
-    def take(self, heard: Heard) -> Samples:
+    def take(
+        self,
+        states: JointNumbers,
+        commands: JointNumbers,  # stamped with the states that they answer
+        bare_commands: Numbers,  # [N m] where they have no stamps, (n,)
+        references: JointNumbers,  # what the controller published as its reference
+    ) -> Samples:
         """Return what came since the last call; what nobody can place in time is left out."""
-        stamps = heard.states.stamps_ns
-        first, is_restarted = self.clock.take(stamps) if len(stamps) else (0, False)
-        states = heard.states.picked(slice(first, None))
-        times = self.clock.seconds(states.stamps_ns)
-        references = self._answers(heard.references, is_restarted)
+        self._has_commands |= bool(len(commands.stamps_ns) or len(bare_commands))
+        clock, stamps = self.clock, states.stamps_ns
+        first, is_restarted = clock.take(stamps) if len(stamps) else (0, False)
+        states = states.picked(slice(first, None))
+        times = clock.seconds(states.stamps_ns)
+        references, commands = (
+            each.picked(clock.present(each.stamps_ns, is_restarted))
+            for each in (references, commands)
+        )
+        if len(bare_commands):
+            efforts = _rows(self._times_of(len(bare_commands), times), bare_commands)
+        elif self._has_commands:
+            efforts = _rows(clock.seconds(commands.stamps_ns), commands.values[:, 2])
+        else:  # as measured
+            is_known = np.isfinite(states.values[:, 2])
+            efforts = _rows(times[is_known], states.values[is_known, 2])
         return Samples(
-            np.column_stack((times, states.position, states.velocity)),
-            self._efforts(heard, states, times, is_restarted),
-            np.column_stack(
-                (
-                    self.clock.seconds(references.stamps_ns),
-                    references.position,
-                    references.velocity,
-                )
-            ),
+            _rows(times, states.values[:, :2]),
+            efforts,
+            _rows(clock.seconds(references.stamps_ns), references.values[:, :2]),
             is_restarted,
         )
-
-    def _answers(self, told: JointNumbers, is_restarted: bool) -> JointNumbers:
-        """Return what answers states of the present time."""
-        return told.picked(self.clock.present(told.stamps_ns, is_restarted))
-
-    def _efforts(
-        self, heard: Heard, states: JointNumbers, times: Numbers, is_restarted: bool
-    ) -> Numbers:
-        """Return times and efforts: as commanded, or else as measured."""
-        bare = heard.bare_commands
-        self._has_commands |= bool(len(heard.commands.stamps_ns) or len(bare))
-        if len(bare):
-            return np.column_stack((self._times_of(len(bare), times), bare))
-        if self._has_commands:
-            commands = self._answers(heard.commands, is_restarted)
-            return np.column_stack((self.clock.seconds(commands.stamps_ns), commands.effort))
-        is_told = np.isfinite(states.effort)
-        return np.column_stack((times[is_told], states.effort[is_told]))
 
     def _times_of(self, count: int, times: Numbers) -> Numbers:
         """Return times of so many commands without stamps: the newest answers the newest state."""
@@ -294,20 +189,23 @@ class JointSampler:
         return times[np.clip(np.arange(len(times) - count, len(times)), 0, None)]
 
 
+def _rows(times: Numbers, values: Numbers) -> Numbers:
+    return np.column_stack((times, values))
+
+
 _STATES, _COMMANDS = "joint_states", "joint_commands"
 _KINDS: dict[str, Any] = {
-    "sensor_msgs/msg/JointState": JointState,
-    "std_msgs/msg/Float64MultiArray": Float64MultiArray,
-    "std_msgs/msg/Float64": Float64,
+    JOINT_STATE: JointState,
+    FLOAT64_MULTI_ARRAY: Float64MultiArray,
+    FLOAT64: Float64,
 }
-_JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 class Topic(NamedTuple):
     """A topic."""
 
     name: str  # its full name
-    type: str = _JOINT_STATE  # one of _KINDS
+    type: str = JOINT_STATE  # one of _KINDS
     is_reliable: bool = False  # whether what was lost is sent again
 
 
@@ -360,14 +258,14 @@ def controller_topics(node: Node, controller: str, joint: str) -> tuple[Controll
             each
             for each in found
             if each.type in kinds
-            and not (each.type == _JOINT_STATE and each.name.startswith(f"{controller}/"))
+            and not (each.type == JOINT_STATE and each.name.startswith(f"{controller}/"))
         ]
         might.sort(key=lambda each: (each.name.rpartition("/")[2] != usual, each.name))
         return might[0] if might else None
 
     listens = of_controller(node.get_subscriptions_info_by_topic)
     publishes = of_controller(node.get_publishers_info_by_topic)
-    states = chosen(listens, _STATES, (_JOINT_STATE,))
+    states = chosen(listens, _STATES, (JOINT_STATE,))
     commands = chosen(publishes, _COMMANDS, tuple(_KINDS))
     usual = ControllerTopics.usual(controller, joint)
     topics = usual._replace(states=states or usual.states, commands=commands or usual.commands)
@@ -380,7 +278,7 @@ _KEPT = 10_000  # messages of a topic until they are taken: eight joints at 1 kH
 class _Stream:
     """The messages of a topic, which no executor takes: a message costs its copy."""
 
-    def __init__(self, node: Node, topic: Topic) -> None:
+    def __init__(self, node: Node, topic: Topic, read: Callable[[bytes], Any]) -> None:
         kinds = ReliabilityPolicy
         profile = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
@@ -393,7 +291,7 @@ class _Stream:
         )
         self._next = taker(self.subscription)
         self._messages: list[bytes] = []
-        self._columns = MessageColumns(topic.type)
+        self._read = read
 
     def newest(self) -> bytes | None:
         """Return the newest message that has not been read; None if there is none."""
@@ -406,14 +304,15 @@ class _Stream:
         del self._messages[:-_KEPT]
         return self._messages[-1] if self._messages else None
 
-    def read(self) -> list[Part]:
-        """Return the messages since the last call."""
+    def read(self) -> list[Any]:
+        """Return the messages since the last call; what is none of the type is passed over."""
         self.newest()
-        messages, self._messages = self._messages, []
-        return self._columns.read(messages)
-
-
-_STAMP_OFFSET = 4  # of a message with a header, in bytes
+        raws, self._messages = self._messages, []
+        found = []
+        for raw in raws:
+            with suppress(MessageError, IndexError, struct.error):
+                found.append(self._read(raw))
+        return found
 
 
 class Watching:
@@ -450,10 +349,12 @@ class Watching:
                 for topic in (each.states, each.commands, each.reference)
                 if topic
             }
+            commands = {each.commands for each in watched.values()}
             for topic in self._streams.keys() - topics:
                 self._node.destroy_subscription(self._streams.pop(topic).subscription)
             for topic in topics - self._streams.keys():
-                self._streams[topic] = _Stream(self._node, topic)
+                read = _command_reader(topic.type) if topic in commands else decode_joint_state
+                self._streams[topic] = _Stream(self._node, topic, read)
             states = {each.states for each in watched.values()}
             self._clocks = {topic: self._clocks.get(topic, ControlClock()) for topic in states}
             self._samplers = {
@@ -477,14 +378,20 @@ class Watching:
         """Return what came since the last call, by node."""
         with self._lock:
             # What answers a state is taken before the states: so the state is there, too.
-            parts: dict[Topic, list[Part]] = {}
+            found: dict[Topic | None, list[Any]] = {None: []}
             for which in ("commands", "reference", "states"):
                 for topic in {getattr(each, which) for each in self._watched.values()} - {None}:
-                    parts[topic] = self._streams[topic].read()
-            return {
-                node: self._samplers[node].take(_heard(each, parts))
-                for node, each in self._watched.items()
-            }
+                    found[topic] = self._streams[topic].read()
+            taken = {}
+            for node, (joint, states, commands, reference) in self._watched.items():
+                has_stamps = commands is None or commands.type == JOINT_STATE
+                taken[node] = self._samplers[node].take(
+                    joint_numbers(found[states], joint),
+                    joint_numbers(found[commands] if has_stamps else [], joint),
+                    np.array([] if has_stamps else found[commands]),
+                    joint_numbers(found[reference], joint),
+                )
+            return taken
 
     def time_of(self, node: str) -> float:
         """Return the time now on the control clock of a controller, in [s]; nan if unknown."""
@@ -502,21 +409,9 @@ class Watching:
         self._node.destroy_node()
 
 
-def _heard(topics: ControllerTopics, parts: Mapping[Topic, list[Part]]) -> Heard:
-    joint = topics.joint
-    is_bare = topics.commands is not None and topics.commands.type != _JOINT_STATE
-    commands = parts[topics.commands] if topics.commands else []
-    return Heard(
-        joint_numbers(parts[topics.states], joint),
-        joint_numbers([] if is_bare else commands, joint),
-        bare_numbers(commands if is_bare else []),
-        joint_numbers(parts[topics.reference], joint),
-    )
-
-
 def _stamp_ns(raw: bytes, otherwise: int) -> int:
-    if len(raw) < _STAMP_OFFSET + 8:
+    if len(raw) < STAMP_OFFSET + 8:
         return otherwise
     order = "<" if raw[1] else ">"
-    seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, _STAMP_OFFSET)
+    seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, STAMP_OFFSET)
     return int(seconds * NANOSECONDS + nanoseconds)
