@@ -50,12 +50,11 @@ class LiveTuner(executor.ClosingNode):
         self._status = StatusPipe(self)
         self._graph = GraphClient(self)
         # Its library, which no other node needs, is imported here.
-        from hpid_ros.live.page.server import ServerSettings, serve
+        from hpid_ros.live.page.server import PageServer
 
-        settings = ServerSettings(
-            asked.host, asked.port, asked.token, asked.rate, button_timeout=asked.button_timeout
+        self._served = PageServer(
+            self._graph, asked.host, asked.port, asked.token, asked.rate, asked.button_timeout
         )
-        self._served = serve(self._graph, settings)
         url = self._served.url
         print(f"hpid live: {url}", flush=True)
         self._status.send("serving", url=url)

@@ -6,24 +6,251 @@ All pages that are open show this one session; one of them has it in hand.
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.yaml_files import parse_yaml
 from hpid_ros.control.controller_files import parameters_from
+from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
 from hpid_ros.live.advice import Advice, AdviceClient
 from hpid_ros.live.controllers import Answer, Controller, Samples
-from hpid_ros.live.history import JointHistory, WindowIndices
-from hpid_ros.live.tuning import Tuning, Values, differences, same
+from hpid_ros.live.history import JointHistory
 
 if TYPE_CHECKING:
     from hpid_ros.live.graph_client import GraphClient
+
+GAINS = ("gains.p", "gains.i", "gains.d")
+SLIDERS = (*GAINS, "mu", "norm.effort_scale")
+"""The parameters that are turned most, each with a slider."""
+
+BANDWIDTH = "bandwidth"
+"""No parameter, but what turns the three gains at once: on an inertia the same loop, faster."""
+
+_POWERS = {
+    **{name: {name: 1} for name in GAINS},
+    BANDWIDTH: {"gains.p": 2, "gains.i": 3, "gains.d": 1},
+}
+_LARGEST_FACTOR = 1000.0
+
+_DEPTH = 100  # steps that can be undone
+_TOLERANCE = 1e-12
+
+Values = Mapping[str, Value]
+
+
+class Range(NamedTuple):
+    """The ends of a slider."""
+
+    low: float  # least value
+    high: float  # largest value
+    is_logarithmic: bool  # whether equal ways are equal factors
+
+
+def slider_range(name: str, first: float, error_scale: float = 0.0) -> Range:
+    """Return a sensible range of a parameter.
+
+    A gain goes from a tenth to ten times of where it stood at first. Beyond that there is its
+    field, up to what the parameter allows.
+    """
+    if name == "mu":
+        return Range(-0.4999, 0.4999, is_logarithmic=False)
+    centre = first if first > 0.0 else error_scale
+    if centre <= 0.0:
+        return Range(0.0, 10.0, is_logarithmic=False)
+    return Range(0.1 * centre, 10.0 * centre, is_logarithmic=True)
+
+
+def same(one: Value, other: Value) -> bool:
+    """Return whether two values of a parameter are one."""
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=_TOLERANCE)
+    return one == other
+
+
+def differences(before: Values, after: Values) -> dict[str, Value]:
+    """Return what is other in the second, of the names that it has."""
+    return {
+        name: value
+        for name, value in after.items()
+        if name not in before or not same(before[name], value)
+    }
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing that a person did: what it set on which controllers, and what was there."""
+
+    what: str  # in words
+    before: Mapping[str, Values]  # values that it replaced, by node and name
+    after: Mapping[str, Values]  # values that it set, likewise
+
+
+@dataclass
+class Tuning:
+    """What a person has staged, done and kept.
+
+    Nothing here reaches a robot: :meth:`staged_sets`, :meth:`undoing` and the others return sets
+    of parameters by node, which somebody sends.
+    """
+
+    first: dict[str, dict[str, Value]] = field(default_factory=dict)
+    in_force: dict[str, dict[str, Value]] = field(default_factory=dict)
+    staged: dict[str, dict[str, Value]] = field(default_factory=dict)
+    snapshots: dict[str, dict[str, Values]] = field(default_factory=dict)
+    done: list[Step] = field(default_factory=list)
+
+    def see(self, node: str, values: Values) -> None:
+        """Take note of what is active on a controller.
+
+        What was staged and is active now, whoever set it, is staged no more.
+        """
+        self.first.setdefault(node, dict(values))
+        self.in_force[node] = dict(values)
+        if node in self.staged:
+            self.staged[node] = differences(values, self.staged[node])
+
+    def value(self, node: str, name: str) -> Value:
+        """Return a parameter as it is chosen: staged, or active."""
+        staged = self.staged.get(node, {})
+        return staged[name] if name in staged else self.in_force[node][name]
+
+    def stage(self, nodes: Sequence[str], name: str, value: object) -> None:
+        """Choose a value for controllers; what is active already is not staged."""
+        checked = _checked(name, value)
+        for node in nodes:
+            chosen = {**self.staged.get(node, {}), name: checked}
+            self.staged[node] = differences(self.in_force[node], chosen)
+
+    def stage_factor(self, nodes: Sequence[str], name: str, factor: float) -> None:
+        """Choose so many times what is active, on each controller its own."""
+        if not 0.0 < factor <= _LARGEST_FACTOR:
+            raise SettingError(
+                f"a factor must be positive and at most {_LARGEST_FACTOR:g}, not {factor:g}"
+            )
+        products = [
+            (node, gain, _checked(gain, factor**power * float(self.in_force[node][gain])))
+            for node in nodes
+            for gain, power in _POWERS[name].items()
+        ]
+        for node, gain, product in products:
+            self.stage([node], gain, product)
+
+    def factor(self, node: str, name: str) -> float | None:
+        """Return how many times what is active is chosen; None where that is no one number."""
+        in_force = self.in_force[node]
+        factors = [
+            (float(self.value(node, gain)) / float(in_force[gain])) ** (1.0 / power)
+            for gain, power in _POWERS[name].items()
+            if float(in_force[gain]) > 0.0
+        ]
+        alike = all(math.isclose(each, factors[0], rel_tol=_TOLERANCE) for each in factors)
+        return factors[0] if factors and alike else None
+
+    def unstage(self, nodes: Sequence[str] = ()) -> None:
+        """Forget what is staged, on these controllers or on all."""
+        for node in nodes or list(self.staged):
+            self.staged.pop(node, None)
+
+    def chosen(self, node: str) -> dict[str, Value]:
+        """Return all values of a controller as they would be."""
+        return {**self.in_force[node], **self.staged.get(node, {})}
+
+    def objection(self, node: str) -> str:
+        """Return why a controller would refuse what is staged, in one line; empty if nothing is.
+
+        The controller itself decides; it also knows its certificate.
+        """
+        try:
+            LoopSettings.from_parameters(self.chosen(node))
+        except HpidError as error:
+            return str(error)
+        return ""
+
+    def staged_sets(self, nodes: Sequence[str]) -> dict[str, Values]:
+        """Return what is staged by node, of those where something is."""
+        return {node: dict(self.staged[node]) for node in nodes if self.staged.get(node)}
+
+    def note(self, what: str, taken: Mapping[str, Values], before: Mapping[str, Values]) -> None:
+        """Take note of sets that controllers took."""
+        if not taken:
+            return
+        kept = {node: {name: before[node][name] for name in taken[node]} for node in taken}
+        self.done = [*self.done, Step(what, kept, taken)][-_DEPTH:]
+
+    def undoing(self) -> dict[str, Values]:
+        """Return the sets that take the newest step back, without what somebody changed since."""
+        if not self.done:
+            raise SettingError("there is nothing to undo")
+        step = self.done[-1]
+        sets: dict[str, Values] = {}
+        for node, after in step.after.items():
+            now = self.in_force[node]
+            own = {n: step.before[node][n] for n, v in after.items() if same(now[n], v)}
+            if own:
+                sets[node] = own
+        if not sets:
+            self.done = self.done[:-1]
+            raise SettingError(f"somebody has changed what “{step.what}” set: it is not undone")
+        return sets
+
+    def undone(self) -> None:
+        """Forget the newest step: it has been taken back."""
+        self.done = self.done[:-1]
+
+    def reverting(self, nodes: Sequence[str]) -> dict[str, Values]:
+        """Return the sets after which controllers are as they were first seen."""
+        return self.towards({node: self.first[node] for node in nodes})
+
+    def keep(self, name: str, nodes: Sequence[str]) -> str:
+        """Keep what is active on controllers under a name, and return that."""
+        name = name.strip()
+        if not name:
+            raise SettingError("a snapshot needs a name")
+        self.snapshots[name] = {node: dict(self.in_force[node]) for node in nodes}
+        return name
+
+    def towards(self, values: Mapping[str, Values]) -> dict[str, Values]:
+        """Return the sets after which controllers have these values."""
+        found = {
+            node: differences(self.in_force.get(node, wanted), wanted)
+            for node, wanted in values.items()
+        }
+        return {node: other for node, other in found.items() if other}
+
+    def document(self, nodes: Sequence[str]) -> dict[str, Any]:
+        """Return what is active as a ROS parameter file has it."""
+        return {node: {"ros__parameters": dict(self.in_force[node])} for node in nodes}
+
+    def stage_loops(self, loops: Mapping[str, LoopSettings]) -> list[str]:
+        """Stage what a parameter file says, joint by joint."""
+        found = []
+        for node, values in self.in_force.items():
+            full_or_own = node, node.rpartition("/")[2]
+            own = [each for name, each in loops.items() if name in full_or_own]
+            own = own or [each for each in loops.values() if each.joint == values["joint"]]
+            if own:
+                wanted = {**own[0].to_parameters(), "joint": values["joint"]}
+                self.staged[node] = differences(values, wanted)
+                found.append(node)
+        if not found:
+            names = ", ".join(loops) or "none"
+            raise SettingError(f"no controller of this file is here; it has {names}")
+        return sorted(found)
+
+
+def _checked(name: str, value: object) -> Value:
+    spec = PARAMETERS[name]
+    if isinstance(value, int) and isinstance(spec.default, float) and not isinstance(value, bool):
+        value = float(value)
+    return spec.checked(value)
 
 
 class Limit:
@@ -52,14 +279,9 @@ class ControlLock:
     """
 
     def __init__(self) -> None:
+        self.holder: str | None = None  # None if no page is open, or the one that had it is gone
         self._pages: Counter[str] = Counter()
-        self._holder: str | None = None
         self._last: str | None = None
-
-    @property
-    def holder(self) -> str | None:
-        """The page that has it; None if none is open, or the one that had it is gone."""
-        return self._holder
 
     @property
     def pages(self) -> int:
@@ -67,31 +289,24 @@ class ControlLock:
         return len(self._pages)
 
     def join(self, page: str) -> None:
-        """Let a page look on; it has the desk if no other page is there, or if it had it last.
+        """Let a page look on; it has control if no other page is there, or if it had it last.
 
         A page that was cut off may join once more before it has left.
         """
         self._pages[page] += 1
-        if len(self._pages) == 1 or (self._holder is None and self._last == page):
-            self._holder = self._last = page
+        if len(self._pages) == 1 or (self.holder is None and self._last == page):
+            self.holder = self._last = page
 
     def take(self, page: str) -> None:
-        """Give the desk to a page whose person asked for it."""
+        """Give control to a page whose person asked for it."""
         if page in self._pages:
-            self._holder = self._last = page
+            self.holder = self._last = page
 
     def leave(self, page: str) -> None:
-        """Forget a page that has left as often as it has joined.
-
-        What it had in hand nobody has, until somebody takes it.
-        """
+        """Forget a page that has left as often as it has joined; nobody has control then."""
         self._pages -= Counter([page])
-        if self._holder not in self._pages:
-            self._holder = None
-
-    def holds(self, page: str) -> bool:
-        """Return whether a page has it."""
-        return self._holder == page
+        if self.holder not in self._pages:
+            self.holder = None
 
 
 _SETS, _SETS_WITHIN = 5, 1.0  # acts of a person in [s]
@@ -194,10 +409,6 @@ class LiveSession:
         self.marks.append(Mark(self._marked, node, at, text))
         self.say(f"{self.label(node)}: {text}")
 
-    def indices(self, node: str, over: float) -> WindowIndices:
-        """Return indices of a joint over the last seconds."""
-        return self.history(node).indices(over)
-
     def say(self, text: str, *, is_bad: bool = False) -> None:
         """Put a line into the log."""
         self.said += 1
@@ -216,11 +427,9 @@ class LiveSession:
             return known[1], True
         if self._asked.get(about) != asked:
             self._asked[about] = asked
-
-            def hear(advice: Advice) -> None:
-                self._known[about] = (asked, advice)
-
-            self._advice.ask(about, values, step, hear)
+            self._advice.ask(
+                about, values, step, lambda advice: self._known.update({about: (asked, advice)})
+            )
         return (known[1] if known else None), False
 
     # What a person does
@@ -328,7 +537,8 @@ class LiveSession:
     async def restore(self, name: str) -> bool:
         """Set controllers to a snapshot."""
         async with self._acting:
-            return await self._send_or_say(self.tuning.returning(name), f"snapshot {name}")
+            sets = self.tuning.towards(self.tuning.snapshots[name])
+            return await self._send_or_say(sets, f"snapshot {name}")
 
     async def _send_or_say(self, sets: Mapping[str, Values], what: str) -> bool:
         sets = {node: each for node, each in sets.items() if self._here.get(node)}
@@ -340,11 +550,7 @@ class LiveSession:
     async def send_if_other(self, values: Mapping[str, Values], what: str) -> bool:
         """Have controllers take these values, where they have others."""
         async with self._acting:
-            sets = {
-                node: other
-                for node, wanted in values.items()
-                if (other := differences(self.tuning.in_force[node], wanted))
-            }
+            sets = self.tuning.towards(values)
             return not sets or await self._send(sets, what)
 
     async def stop(self) -> bool:

@@ -21,8 +21,7 @@ from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.control.settings import Value
 from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.live.motion import RELEASED, Ending, HeldMotion, bounds_of, chosen
-from hpid_ros.live.session import LiveSession
-from hpid_ros.live.tuning import Values, differences, same
+from hpid_ros.live.session import LiveSession, Values, differences, same
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics.comparison import Comparison
@@ -440,7 +439,7 @@ class Trials:
     def _is_left(self) -> bool:
         """Tell whether another page has control, or the trial's own has been gone for a while."""
         control_lock, now = self._session.control_lock, time.monotonic()
-        if control_lock.holds(self._page):
+        if control_lock.holder == self._page:
             self._here_at = now
         return control_lock.holder not in (None, self._page) or now - self._here_at > _GONE_FOR
 

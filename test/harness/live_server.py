@@ -11,7 +11,7 @@ import sys
 import threading
 
 from harness.simulated_graph import SimulatedGraph, arm
-from hpid_ros.live.page.server import ServerSettings, serve
+from hpid_ros.live.page.server import PageServer
 
 
 def tell(**values):
@@ -30,7 +30,7 @@ class ToldGraph(SimulatedGraph):
 
 def main():
     graph = ToldGraph(arm(int(sys.argv[1]) if len(sys.argv) > 1 else 3))
-    served = serve(graph, ServerSettings(port=0))
+    served = PageServer(graph, port=0)
     tell(url=served.url, threads=threading.active_count())
     for line in sys.stdin:
         order = json.loads(line)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -17,12 +16,12 @@ from hpid_ros.control.settings import LOOP_PARAMETERS
 from hpid_ros.live.advice import Advice
 from hpid_ros.live.page.parts import Viewer, button, chart, chart_options, curve, mark
 from hpid_ros.live.page.trial_panel import TrialPanel
-from hpid_ros.live.session import shown
-from hpid_ros.live.tuning import BANDWIDTH, GAINS, SLIDERS, Range, slider_range
+from hpid_ros.live.session import BANDWIDTH, GAINS, SLIDERS, Range, shown, slider_range
 
 _EDITED_FOR = 0.7  # [s] after an input in which it is not set from elsewhere
 _STEPS = 400  # of a slider
 _TYPED_FOR = 400  # [ms] without a key, after which a number is taken
+_SLID_FOR = 0.05  # [s] between two places of a slider that is moved
 _FACTORS = Range(0.1, 10.0, is_logarithmic=True)
 _BANDWIDTHS = Range(0.2, 5.0, is_logarithmic=True)
 
@@ -47,27 +46,23 @@ class Knob:
         self._viewer, self._tuning = viewer, viewer.session.tuning
         self.name, self._edited = name, edited
         self._range = Range(0.0, 1.0, is_logarithmic=False)
-        self._is_setting = False
         self._edited_at = -math.inf
-        self._build()
-
-    def _build(self) -> None:
-        symbol, text = LABELS[self.name]
+        symbol, text = LABELS[name]
         with ui.element("div").classes("knob") as self.row:
             self._label = ui.label(symbol).classes("knob-name").tooltip(text)
             with ui.element("div").classes("knob-slider"):
-                if self.name == "mu":
-                    self._build_interval()
+                if name == "mu":
+                    with ui.element("div").classes("interval").props('aria-hidden="true"'):
+                        self._certified = ui.element("div").classes("interval-certified")
+                        ui.element("div").classes("interval-zero")
                 self._slider = ui.slider(min=0, max=_STEPS, value=0, step=1)
-                self._slider.props(f'aria-label="{text}"').on_value_change(self._on_slide)
-            self._field = ui.number(format="%.5g", on_change=self._on_type)
+                self._slider.props(f'aria-label="{text}"')
+            self._field = ui.number(format="%.5g")
             self._field.props(f'dense outlined debounce={_TYPED_FOR} aria-label="{text}"')
             self._now = ui.label().classes("knob-now")
-
-    def _build_interval(self) -> None:
-        with ui.element("div").classes("interval").props('aria-hidden="true"'):
-            self._certified = ui.element("div").classes("interval-certified")
-            ui.element("div").classes("interval-zero")
+        # What a person does; not what refresh sets.
+        self._slider.on("update:model-value", self._on_slide, throttle=_SLID_FOR)
+        self._field.on("update:model-value", self._on_type)
 
     def show_interval(self, advice: Advice | None, *, is_current: bool) -> None:
         """Draw the certified degrees."""
@@ -95,9 +90,8 @@ class Knob:
         if time.monotonic() - self._edited_at < _EDITED_FOR:
             return
         self._range = self._range_of(nodes[0])
-        with self._set():
-            self._slider.value = self._place(1.0 if shown is None else shown)
-            self._field.value = None if shown is None else float(f"{shown:.6g}")
+        self._slider.value = self._place(1.0 if shown is None else shown)
+        self._field.value = None if shown is None else float(f"{shown:.6g}")
 
     def _shown(self, nodes: Sequence[str]) -> tuple[float | None, bool]:
         """Return what is chosen, None where that is no one number, and whether it is staged."""
@@ -109,11 +103,8 @@ class Knob:
         return float(tuning.value(nodes[0], self.name)), is_staged
 
     def _range_of(self, node: str) -> Range:
-        if self.name == BANDWIDTH:
-            return _BANDWIDTHS
-        return _FACTORS if self._is_factor else self._own_range(node)
-
-    def _own_range(self, node: str) -> Range:
+        if self._is_factor:
+            return _BANDWIDTHS if self.name == BANDWIDTH else _FACTORS
         first = self._tuning.first[node]
         scale = float(first["gains.p"]) * float(first["norm.error_scale"])
         return slider_range(self.name, float(first[self.name]), scale)
@@ -141,26 +132,16 @@ class Knob:
         value = low * (high / low) ** share if is_logarithmic else low + share * (high - low)
         return float(f"{value:.4g}") if self.name != "mu" else round(value, 4)
 
-    @contextmanager
-    def _set(self) -> Any:
-        self._is_setting = True
-        try:
-            yield
-        finally:
-            self._is_setting = False
-
     def _on_slide(self, event: Any) -> None:
-        if not self._is_setting and event.value is not None:
-            value = self._value(float(event.value))
-            with self._set():
-                self._field.value = value
-            self._stage(value)
+        value = self._value(float(event.args))
+        self._field.value = value
+        self._stage(value)
 
     def _on_type(self, event: Any) -> None:
-        if not self._is_setting and event.value is not None:
-            with self._set():
-                self._slider.value = self._place(float(event.value))
-            self._stage(float(event.value))
+        if event.args not in (None, ""):
+            value = float(event.args)
+            self._slider.value = self._place(value)
+            self._stage(value)
 
     def _stage(self, value: float) -> None:
         if not self._viewer.may_edit:
@@ -187,7 +168,7 @@ class AllParameters:
         self._viewer, self._tuning = viewer, viewer.session.tuning
         self._edited = edited
         self._fields: dict[str, Any] = {}
-        self._is_setting = False
+        self._known: dict[str, object] = {}  # what each field was set to last
         self._place = ui.expansion("All parameters", on_value_change=self._on_open)
         self._place.props("dense").classes("all")
 
@@ -226,9 +207,7 @@ class AllParameters:
 
     def _stage(self, name: str, value: object) -> None:
         nodes = self._viewer.chosen()
-        if self._is_setting or value is None or not nodes or not self._viewer.may_edit:
-            return
-        if value == self._tuning.value(nodes[0], name) and len(nodes) == 1:
+        if value in (None, self._known.get(name)) or not nodes or not self._viewer.may_edit:
             return
         try:
             self._tuning.stage(nodes, name, value)
@@ -241,16 +220,14 @@ class AllParameters:
         if not self._fields or not self._place.value:
             return
         nodes, tuning = self._viewer.chosen(), self._tuning
-        self._is_setting = True
         for name, field in self._fields.items():
             field.set_enabled(bool(nodes) and self._viewer.may_edit)
             is_staged = any(name in tuning.staged.get(node, {}) for node in nodes)
             mark(field.hpid_row, "is-staged", is_on=is_staged)
             if nodes:
                 value = tuning.value(nodes[0], name)
-                if getattr(field, "hpid_last", None) != value:  # what a person types is left alone
-                    field.hpid_last = field.value = value
-        self._is_setting = False
+                if self._known.get(name) != value:  # what a person types is left alone
+                    self._known[name] = field.value = value
 
 
 _LARGEST_FILE = 1_000_000  # bytes
@@ -333,7 +310,6 @@ class TuningPanel:
     def __init__(self, viewer: Viewer) -> None:
         self._viewer, self._session = viewer, viewer.session
         self._shown: Any = None
-        self._is_setting = False
         with ui.tabs().props("dense no-caps align=left") as tabs:
             tune, test, keep = ui.tab("Tune"), ui.tab("Try"), ui.tab("Save")
         with ui.tab_panels(tabs, value=tune).classes("panels"):
@@ -399,13 +375,13 @@ class TuningPanel:
     def _refresh_law(self, nodes: Sequence[str]) -> None:
         self._law.set_enabled(bool(nodes) and self._viewer.may_edit)
         laws = {self._session.tuning.value(node, "law") for node in nodes}
-        self._is_setting = True
         self._law.value = laws.pop() if len(laws) == 1 else None
-        self._is_setting = False
 
     def _on_law(self, event: Any) -> None:
-        if not self._is_setting and event.value is not None and self._viewer.may_edit:
-            self._session.tuning.stage(self._viewer.chosen(), "law", event.value)
+        nodes, tuning = self._viewer.chosen(), self._session.tuning
+        is_other = any(tuning.value(node, "law") != event.value for node in nodes)
+        if is_other and event.value is not None and self._viewer.may_edit:
+            tuning.stage(nodes, "law", event.value)
             self.refresh()
 
     def _refresh_advice(self, nodes: Sequence[str]) -> None:

@@ -26,7 +26,7 @@ class Viewer:
 
     @property
     def may_edit(self) -> bool:
-        return self.session.control_lock.holds(self.page)
+        return self.session.control_lock.holder == self.page
 
     def acting(self, act: Callable[[], object], then: Callable[[], None]) -> Callable[[], Any]:
         """Return a handler that does something, and then something else, with control alone."""

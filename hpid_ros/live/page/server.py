@@ -1,18 +1,29 @@
-"""The page's server: a thread beside the nodes, behind a guard, with a stream of frames."""
+"""The page's server: who may see it, a thread beside the nodes, a stream of frames.
+
+The page moves robots. It is told to people by an address with a token; the browser then keeps the
+token as a cookie of this server alone. Another page in the same browser has neither the token nor
+this origin, and a name that somebody has pointed at this address (DNS rebinding) is no host of it.
+
+Sources: OWASP Cheat Sheet Series, "Cross-Site Request Forgery Prevention" (origin checks, SameSite
+cookies) and "WebSocket Security"; RFC 6455, section 10.2.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hmac
 import json
 import math
+import re
 import secrets
 import socket
 import threading
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, MutableMapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl, quote, urlencode
 
 import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
@@ -22,7 +33,6 @@ from nicegui import app as pages
 from hpid_ros.base.errors import SettingError
 from hpid_ros.live.advice import AdviceClient
 from hpid_ros.live.motion import HELD_WITHIN, HeldMotion
-from hpid_ros.live.page.access import LOOPBACK, Access, Guard, require_token
 from hpid_ros.live.page.view import PageView
 from hpid_ros.live.session import LiveSession, Mark
 from hpid_ros.live.trials import Stage, Starter, Trials
@@ -30,49 +40,190 @@ from hpid_ros.live.trials import Stage, Starter, Trials
 if TYPE_CHECKING:
     from hpid_ros.live.graph_client import GraphClient
 
-ASSETS = Path(__file__).parent / "assets"
-
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]", "::1")
+_LEAST_TOKEN = 16  # characters of a token that somebody chooses
+_TOKEN = re.compile(r"[A-Za-z0-9_-]+")
+_ASSETS = Path(__file__).parent / "assets"
 _IDLE_PERIOD = 0.5  # [s] between looks at the graph while nobody looks at the page
 _COMES_BACK_WITHIN = 15.0  # [s] of a page that a busy computer has cut off
 _BEHIND = 600  # frames that a page may be behind
 _STARTS_WITHIN, _ENDS_WITHIN = 15.0, 3.0  # [s]
 
+Scope = MutableMapping[str, Any]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
-@dataclass(frozen=True)
-class ServerSettings:
-    """How the page is served."""
-
-    host: str = "127.0.0.1"  # address to listen at
-    port: int = 8080  # 0 chooses a free one
-    token: str = ""  # that opens the page; empty draws one
-    rate: float = 30.0  # frames a second
-    button_timeout: float = HELD_WITHIN  # [s] without a word of a button that is held
-
-    def __post_init__(self) -> None:
-        """Refuse what is not safe."""
-        if self.token:
-            require_token(self.token)
-        elif self.host not in LOOPBACK:
-            raise SettingError(
-                f"host {self.host} lets others on the network move this robot: give a token, "
-                f"and let them reach it through an encrypted tunnel"
-            )
+_HEADERS = [
+    (b"x-frame-options", b"DENY"),
+    (b"content-security-policy", b"frame-ancestors 'none'; base-uri 'none'; form-action 'self'"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+]
 
 
-class Served:
-    """A page that is served."""
+def require_token(token: str) -> None:
+    """Refuse a token that can be guessed, or that an address cannot hold."""
+    if len(token) < _LEAST_TOKEN or not _TOKEN.fullmatch(token):
+        raise SettingError(
+            f"a token must have {_LEAST_TOKEN} characters at least, letters, digits, - and _ only"
+        )
+
+
+class Guard:
+    """Lets requests through to an application, or refuses them."""
+
+    def __init__(
+        self, app: Callable[..., Any], token: str, port: int, hosts: tuple[str, ...] = LOOPBACK
+    ) -> None:
+        self._app, self._token, self._port, self._hosts = app, token, port, hosts
+        self._cookie = f"hpid_live_{port}"
+
+    def judge(
+        self, kind: str, method: str, host: str, origin: str | None, query: str, cookies: str
+    ) -> tuple[int, str]:
+        """Return 200 to pass a request on, 303 to set the cookie, else the refusal and why."""
+        if not self._is_known(host):
+            return 421, f"this server is not {host!r}"
+        if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
+            return 403, "another page may not use this one"
+        if origin is None and (kind == "websocket" or method not in ("GET", "HEAD")):
+            return 403, "a request without an origin changes nothing"
+        pairs = (each.strip().partition("=") for each in cookies.split(";"))
+        if any(name == self._cookie and self._is_token(value) for name, _, value in pairs):
+            return 200, ""
+        given = dict(parse_qsl(query)).get("token")
+        if given is None or kind == "websocket" or method != "GET":
+            return 401, "open the address with the token that hpid live has printed"
+        return (303, "") if self._is_token(given) else (401, "the token is wrong")
+
+    def _is_known(self, host: str) -> bool:
+        name, _, port = host.rpartition(":")
+        if not name or host.endswith("]"):
+            name, port = host, "80"
+        return port == str(self._port) and (not self._hosts or name in self._hosts)
+
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self._token.encode())
+
+    async def __call__(self, scope: Scope, receive: Callable[..., Any], send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = {
+            name.decode("latin-1"): text.decode("latin-1") for name, text in scope["headers"]
+        }
+        query = scope.get("query_string", b"").decode("latin-1")
+        status, reason = self.judge(
+            scope["type"],
+            scope.get("method", "GET"),
+            headers.get("host", ""),
+            headers.get("origin"),
+            query,
+            headers.get("cookie", ""),
+        )
+        if status == 200:
+            await self._app(scope, receive, _hardened(scope["path"], send))
+        elif scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": reason})
+        else:
+            extra = {}
+            if status == 303:
+                left = urlencode([each for each in parse_qsl(query) if each[0] != "token"])
+                own = "/" + quote(scope["path"].lstrip("/"))  # two slashes lead to another host
+                cookie = f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+                extra = {"location": own + (f"?{left}" if left else ""), "set-cookie": cookie}
+            await _answer(send, status, reason and f"{reason}\n", extra)
+
+
+def _hardened(path: str, send: Send) -> Send:
+    """Return a send that adds headers for browsers."""
+
+    async def sent(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            extra = [*_HEADERS]
+            if not path.startswith("/_nicegui"):
+                extra.append((b"cache-control", b"no-store"))
+            message = {**message, "headers": [*message.get("headers", []), *extra]}
+        await send(message)
+
+    return sent
+
+
+async def _answer(send: Send, status: int, text: str, extra: dict[str, str]) -> None:
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"cache-control", b"no-store")]
+    headers += [*_HEADERS, *((k.encode(), v.encode("latin-1")) for k, v in extra.items())]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": text.encode()})
+
+
+class PageServer:
+    """Serves the page of a graph, in a thread of its own."""
 
     def __init__(
         self,
-        url: str,
-        server: uvicorn.Server,
-        thread: threading.Thread,
-        trials: Trials,
-        advice: AdviceClient,
+        graph: GraphClient,
+        host: str = "127.0.0.1",
+        port: int = 8080,  # 0 chooses a free one
+        token: str = "",  # empty draws one
+        rate: float = 30.0,  # frames a second
+        button_timeout: float = HELD_WITHIN,  # [s] without a word of a button that is held
+        start: Starter | None = None,
     ) -> None:
-        self.url = url
-        self._server, self._thread = server, thread
-        self._trials, self._advice = trials, advice
+        is_own = host in LOOPBACK
+        if token:
+            require_token(token)
+        elif not is_own:
+            raise SettingError(
+                f"host {host} lets others on the network move this robot: give a token, "
+                f"and let them reach it through an encrypted tunnel"
+            )
+        listener = _listener(host, port)
+        port = int(listener.getsockname()[1])
+        token = token or secrets.token_urlsafe(24)
+        self._advice = AdviceClient()
+        session = LiveSession(graph, self._advice)
+        starter = start or partial(HeldMotion, within=button_timeout)
+        self._trials = trials = Trials(session, starter, button_timeout)
+        api = _api(trials, Frames(session, trials, 1.0 / rate))
+        pages.add_static_files("/assets", str(_ASSETS))
+        ui.run_with(
+            api,
+            root=lambda: PageView(session, trials),
+            title="hpid live",
+            dark=None,
+            show_welcome_message=False,
+            binding_refresh_interval=None,
+            tailwind=False,
+            reconnect_timeout=_COMES_BACK_WITHIN,
+        )
+        guard = Guard(api, token, port, LOOPBACK if is_own else ())
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                guard, log_level="warning", access_log=False, timeout_graceful_shutdown=1
+            )
+        )
+        self.url = f"http://{'127.0.0.1' if is_own else host}:{port}/?token={token}"
+        self._failure = ""
+        self._thread = threading.Thread(
+            target=self._run, args=(listener,), name="page", daemon=True
+        )
+        self._thread.start()
+        pause = threading.Event()
+        for _ in range(round(_STARTS_WITHIN / 0.05)):
+            if self._server.started or not self._thread.is_alive():
+                break
+            pause.wait(0.05)
+        if not self._server.started:
+            raise SettingError(f"the page's server did not start{self._failure}")
+
+    def _run(self, listener: socket.socket) -> None:
+        try:
+            asyncio.run(self._server.serve(sockets=[listener]))
+        except BaseException as error:
+            self._failure = f": {error}"
 
     @property
     def is_trying(self) -> bool:
@@ -94,70 +245,17 @@ class Served:
         return tried
 
 
-def serve(graph: GraphClient, settings: ServerSettings, start: Starter | None = None) -> Served:
-    """Serve the page of a graph, in a thread of its own."""
-    listener = _listener(settings)
-    port = int(listener.getsockname()[1])
-    token = settings.token or secrets.token_urlsafe(24)
-    hosts = LOOPBACK if settings.host in LOOPBACK else ()
-    advice = AdviceClient()
-    session = LiveSession(graph, advice)
-    within = settings.button_timeout
-    trials = Trials(session, start or partial(HeldMotion, within=within), within)
-    api = _api(trials, Frames(session, trials, 1.0 / settings.rate))
-    pages.add_static_files("/assets", str(ASSETS))
-    ui.run_with(
-        api,
-        root=lambda: PageView(session, trials),
-        title="hpid live",
-        dark=None,
-        show_welcome_message=False,
-        binding_refresh_interval=None,
-        tailwind=False,
-        reconnect_timeout=_COMES_BACK_WITHIN,
-    )
-    guard = Guard(api, Access(token, port, hosts))
-    config = uvicorn.Config(
-        guard,
-        log_level="warning",
-        access_log=False,
-        timeout_graceful_shutdown=1,
-    )
-    server = uvicorn.Server(config)
-    failures: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            asyncio.run(server.serve(sockets=[listener]))
-        except BaseException as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=run, name="page", daemon=True)
-    thread.start()
-    pause = threading.Event()
-    for _ in range(round(_STARTS_WITHIN / 0.05)):
-        if server.started or not thread.is_alive():
-            break
-        pause.wait(0.05)
-    if not server.started:
-        why = f": {failures[0]}" if failures else ""
-        raise SettingError(f"the page's server did not start{why}")
-    shown = "127.0.0.1" if settings.host in LOOPBACK else settings.host
-    url = f"http://{shown}:{port}/?token={token}"
-    return Served(url, server, thread, trials, advice)
-
-
-def _listener(settings: ServerSettings) -> socket.socket:
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+def _listener(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener.bind((settings.host.strip("[]"), settings.port))
+        listener.bind((host.strip("[]"), port))
     except (OSError, OverflowError) as error:
         listener.close()
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise SettingError(
-            f"cannot serve at {settings.host}:{settings.port}: {why}; port 0 chooses a free one"
+            f"cannot serve at {host}:{port}: {why}; port 0 chooses a free one"
         ) from None
     return listener
 
@@ -170,10 +268,7 @@ def _api(trials: Trials, frames: Frames) -> FastAPI:
         task.cancel()
 
     api = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
-
-    @api.websocket("/frames")
-    async def stream(socket: WebSocket) -> None:
-        await frames.stream(socket)
+    api.add_api_websocket_route("/frames", frames.stream)
 
     @api.post("/stop")
     async def stop() -> dict[str, bool]:
@@ -238,7 +333,7 @@ class Frames:
             self._session.control_lock.leave(page)
 
     def _take(self, page: str, text: str) -> None:
-        if text == "hold" and self._session.control_lock.holds(page):
+        if text == "hold" and self._session.control_lock.holder == page:
             self._trials.press(page)
         elif text == "release":
             self._trials.release(page)

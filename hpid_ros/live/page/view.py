@@ -116,7 +116,7 @@ class _Row:
         self._state.classes(replace=f"state is-{level}")
         self._tip.set_text(tip)
         mark(self._row, "is-gone", is_on=not seen.is_here)
-        found = self._session.indices(self._node, window)
+        found = self._session.history(self._node).indices(window)
         missed = seen.health.values.get("missed samples", "") if seen.health else ""
         if missed.isdecimal():
             rises = self._missed.tell(int(missed), time.monotonic())

@@ -7,16 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.page.access import Access, Guard, require_token
+from hpid_ros.live.page.server import Guard, require_token
 
 TOKEN = "correct-horse-battery"
 HOST = "127.0.0.1:8080"
 COOKIE = f"hpid_live_8080={TOKEN}"
 
 
-def judged(access=None, **changes):
+def judged(*hosts, **changes):
     asked = {"kind": "http", "method": "GET", "host": HOST, "query": "", "cookies": ""}
-    return (access or Access(TOKEN, 8080)).judge(**{**asked, "origin": None, **changes})
+    return Guard(None, TOKEN, 8080, *hosts).judge(**{**asked, "origin": None, **changes})
 
 
 @pytest.mark.parametrize(
@@ -48,21 +48,19 @@ def judged(access=None, **changes):
     ],
 )
 def test_who_has_the_token_gets_in_and_everybody_else_is_refused(changes, status):
-    verdict = judged(**changes)
-    assert verdict.status == status
-    assert bool(verdict.reason) == (status > 400)
+    found, reason = judged(**changes)
+    assert found == status
+    assert bool(reason) == (status > 400)
 
 
 @given(st.text(), st.text(), st.text(), st.text())
 def test_no_text_gets_in_or_brings_the_guard_down(host, origin, query, cookies):
-    verdict = judged(host=host, origin=origin, query=query, cookies=cookies)
-    assert verdict.status not in (200, 303)
+    assert judged(host=host, origin=origin, query=query, cookies=cookies)[0] not in (200, 303)
 
 
 def test_a_server_for_others_is_known_by_any_name_but_only_at_its_port():
-    access = Access(TOKEN, 8080, hosts=())
-    assert judged(access, host="robot.lab:8080", cookies=COOKIE).status == 200
-    assert judged(access, host="robot.lab:80", cookies=COOKIE).status == 421
+    assert judged((), host="robot.lab:8080", cookies=COOKIE)[0] == 200
+    assert judged((), host="robot.lab:80", cookies=COOKIE)[0] == 421
 
 
 @pytest.mark.parametrize("token", ["", "short", "a" * 15, "a" * 16 + "\n", "a b" * 10, "ä" * 20])
@@ -87,7 +85,7 @@ def answered(path="/", **changes):
     async def send(message):
         sent.append(message)
 
-    asyncio.run(Guard(app, Access(TOKEN, 8080))(scope, receive, send))
+    asyncio.run(Guard(app, TOKEN, 8080)(scope, receive, send))
     return [each["type"] for each in sent], dict(sent[0].get("headers", ())), bool(asked)
 
 

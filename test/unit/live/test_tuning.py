@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.tuning import BANDWIDTH, Tuning, slider_range
+from hpid_ros.live.session import BANDWIDTH, Tuning, slider_range
 
 NODES = sorted(arm())
 
@@ -103,7 +103,7 @@ def test_what_somebody_has_changed_since_is_not_undone(tuning):
 def test_a_snapshot_is_come_back_to_from_anywhere(tuning):
     tuning.keep(" good ", NODES)
     take(tuning, {NODES[0]: {"mu": 0.3}, NODES[1]: {"gains.p": 3.0}})
-    back = tuning.returning("good")
+    back = tuning.towards(tuning.snapshots["good"])
     assert back == {NODES[0]: {"mu": -0.2}, NODES[1]: {"gains.p": 40.0}}
     with pytest.raises(SettingError, match="name"):
         tuning.keep("  ", NODES)
