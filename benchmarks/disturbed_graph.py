@@ -99,8 +99,8 @@ class DisturbedGraph:
         Raises:
             RunError: A node failed, or is open to the network.
         """
-        for process in self.nodes.start(self._group):
-            self._processes[process.name] = process
+        self.nodes.start(self._group)
+        self._processes.update(self._group.nodes)
         self._wait(lambda: (self.nodes.bridge, "started") in self.events, _UP_WITHIN, "a start")
         if is_closed:
             require_no_sockets([process.pid for process in self._processes.values()])

@@ -16,7 +16,7 @@ from harness.fork_server import ForkedPopen
 from harness.graph import Harness, loopback_environment
 from hypothesis import settings
 
-from hpid_ros.experiment.processes import NodeProcess, own_domain
+from hpid_ros.experiment.processes import NodeGroup, own_domain
 
 # A busy machine is not a failure. Every run draws other examples, so that many runs see many.
 settings.register_profile("suite", deadline=None, max_examples=25)
@@ -25,7 +25,7 @@ settings.load_profile("suite")  # another one: pytest --hypothesis-profile thoro
 
 for number in (signal.SIGHUP, signal.SIGQUIT):  # nodes ignore what nohup or a shell had ignored
     signal.signal(number, signal.SIG_DFL)
-NodeProcess.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
+NodeGroup.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
 FAULT = "fault"  # a property of a test: what is counted, and how many more
 HUNG = 300.0  # [s] beyond a test's timeout: what that could not end waits outside of Python

@@ -368,7 +368,7 @@ def run_controller(
         _tell_engine(experiment, progress)
         if options.is_realtime and is_tried:
             progress.phase(label, "trying what the machine can hold")
-            progress.note(run_trial(experiment, label, options).line)
+            progress.note(run_trial(experiment, label, options))
         folder.write(EXPERIMENT, experiment.text)
         bag, nodes = folder.bag(label), folder.nodes(label)
         report = run_on_graph(experiment, label, bag, nodes, progress, options)

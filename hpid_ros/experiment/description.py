@@ -135,20 +135,34 @@ def _by_joint(section: Section, world: WorldSettings) -> dict[str, Layer]:
 
 def _parameters(section: Section, key: str, but: str = "") -> Layer:
     """Return a section of loop parameters, nested or dotted, by dotted name, but for one key."""
-    flat: Parameters = {}
     inner = section.section(key, {})
-    for name, value in inner.items().items():
-        if name == but:
-            continue
-        nested = value.items() if isinstance(value, Mapping) else [(None, value)]
-        for rest, entry in nested:
-            dotted = name if rest is None else f"{name}.{rest}"
-            if dotted not in PARAMETERS or dotted == "joint":
-                place = inner.place(dotted)
-                known = [inner.place(p) for p in PARAMETERS if p != "joint"]
-                raise ExperimentError(unknown_name("key", place, known))
-            flat[dotted] = entry
-    return Layer(inner.where, flat)
+    given = flat({name: value for name, value in inner.items().items() if name != but})
+    for name in given:
+        if name not in PARAMETERS or name == "joint":
+            known = [inner.place(each) for each in PARAMETERS if each != "joint"]
+            raise ExperimentError(unknown_name("key", inner.place(name), known))
+    return Layer(inner.where, given)
+
+
+def flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters that may be nested by their dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        below = value.items() if isinstance(value, Mapping) else [(None, value)]
+        found |= {name if rest is None else f"{name}.{rest}": each for rest, each in below}
+    return found
+
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return dotted names as nested mappings, the form that ``ros2 param dump`` gives."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        *path, last = name.split(".")
+        inner = found
+        for part in path:
+            inner = inner.setdefault(part, {})
+        inner[last] = value
+    return found
 
 
 def _settings(

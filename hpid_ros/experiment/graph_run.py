@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import selectors
+import select
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -29,7 +29,6 @@ from hpid_ros.experiment.in_process import (
 )
 from hpid_ros.experiment.processes import (
     NodeGroup,
-    NodeProcess,
     closed_environment,
     own_domain,
     require_no_sockets,
@@ -92,39 +91,36 @@ class GraphNodes:
         self.recorder = SINGLE if is_single else RECORDER
         self.vital = frozenset({self.bridge, self.recorder, REFERENCE})
 
-    def start(self, group: NodeGroup) -> list[NodeProcess]:
+    def start(self, group: NodeGroup) -> None:
         """Write the parameter files and start every process."""
+        options, world = self._options, self._experiment.world
         settings = self._experiment.controllers[self._label]
         write_run_files(self._folder, self._experiment, settings)
-        reference = _parameters(reference_file=self._experiment.path)
-        nodes = [group.start(REFERENCE, REFERENCE, reference)]
-        topics = self.topics
-        of_recorder = (
-            _parameters(bag=self._bag, topics=topics, controllers_file=self._kept(settings))
-            if self._options.is_recorded
-            else []
-        )
-        slides = sorted(self._experiment.slides)
-        if of_recorder and slides:
-            of_recorder += _parameters(slides=slides)
-        of_all = _parameters(realtime_priority=self._options.realtime_priority)
-        controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
+        group.start(REFERENCE, REFERENCE, _parameters(reference_file=self._experiment.path))
+        recorder = []
+        if options.is_recorded:
+            kept = self._kept(settings)
+            recorder = _parameters(bag=self._bag, topics=self.topics, controllers_file=kept)
+            if self._experiment.slides:
+                recorder += _parameters(slides=sorted(self._experiment.slides))
+        controllers = self.controller_arguments()
+        bridge = self.bridge_arguments()
+        bridge += _parameters(realtime_priority=options.realtime_priority)
         if self._are_messages_shared:
             controllers += _parameters(share_messages=True)
-        if self._options.processes == "single":
-            of_recorder += _parameters(
-                record=self._options.is_recorded, engine=self._experiment.world.engine
-            )
-            everything = [*controllers, *bridge, *of_recorder]
-            return [*nodes, group.start(SINGLE, SINGLE, everything, is_renamed=False)]
-        if self._options.is_recorded:
-            nodes.append(group.start(RECORDER, RECORDER, of_recorder))
-        if self._options.processes == "composed":
-            nodes.append(group.start(COMPOSED, COMPOSED, controllers, is_renamed=False))
+        if options.processes == "single":
+            more = _parameters(record=options.is_recorded, engine=world.engine)
+            everything = [*controllers, *bridge, *recorder, *more]
+            group.start(SINGLE, SINGLE, everything, is_renamed=False)
+            return
+        if options.is_recorded:
+            group.start(RECORDER, RECORDER, recorder)
+        if options.processes == "composed":
+            group.start(COMPOSED, COMPOSED, controllers, is_renamed=False)
         else:
-            names = [controller_name(each.joint) for each in settings]
-            nodes += [group.start(name, "joint_controller", controllers) for name in names]
-        return [*nodes, group.start(self._executable, self._executable, bridge)]
+            for each in settings:
+                group.start(controller_name(each.joint), "joint_controller", controllers)
+        group.start(self._executable, self._executable, bridge)
 
     def _kept(self, settings: Sequence[LoopSettings]) -> Path:
         """Write the parameters that the bag keeps: with all that is given on the command line."""
@@ -224,8 +220,7 @@ def run_on_graph(
             group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
         processes = len(group.nodes)
         group.stop(patience=_LEAVE_WITHIN)
-        for node in group.nodes.values():  # what they said when they ended
-            run.take_events(node)
+        run.take_events()  # what they said when they ended
         finished = run.events[nodes.bridge, "finished"]
         timing = run_timing(finished, run.timing)
         return RunReport(
@@ -246,7 +241,6 @@ class _GraphRun:
     ) -> None:
         self._nodes, self._label = nodes, label
         self._group, self._progress = group, progress
-        self._selector = selectors.DefaultSelector()
         self.events: dict[tuple[str, str], Mapping[str, Any]] = {}
         self.timing: dict[str, Mapping[str, Any]] = {}
         self.warnings: list[str] = []
@@ -255,8 +249,7 @@ class _GraphRun:
 
     def start(self) -> None:
         self._progress.phase(self._label, "starting the nodes")
-        for node in self._nodes.start(self._group):
-            self._selector.register(node.events, selectors.EVENT_READ, node)
+        self._nodes.start(self._group)
 
     def wait_for(self, event: str, node: str, within: float | None, what: str) -> None:
         """Wait for an event of a node."""
@@ -296,9 +289,9 @@ class _GraphRun:
         deadline = None if within is None else time.monotonic() + within
         before = left()
         while not is_true():
-            ready = self._selector.select(timeout=0.05)
-            for key, _ in ready:
-                self.take_events(key.data)
+            open_pipes = [each.events for each in self._group.nodes.values() if each.is_open]
+            select.select(open_pipes, [], [], 0.05)
+            self.take_events()
             self._look_after_nodes()
             raise_if_interrupted()
             if within is not None and left() < before:
@@ -306,14 +299,11 @@ class _GraphRun:
             if deadline is not None and time.monotonic() > deadline and not is_true():
                 raise RunError(f"{self._label}: waited {within:g} s in vain for {what()}")
 
-    def take_events(self, node: NodeProcess) -> None:
-        """Read what a node has said, and stop listening to one that has ended."""
-        events = node.read_events()
-        has_ended = not events and node.process.poll() is not None
-        if has_ended and node.events in self._selector.get_map():
-            self._selector.unregister(node.events)
-        for event in events:
-            self._on_event(node.name, event)
+    def take_events(self) -> None:
+        """Read what the nodes have said."""
+        for node in self._group.nodes.values():
+            for event in node.read_events():
+                self._on_event(node.name, event)
 
     def _on_event(self, node: str, event: Mapping[str, Any]) -> None:
         name = str(event["event"])
@@ -371,38 +361,8 @@ LONGEST = 1.0  # [s] of simulated time
 _MILLISECONDS = 1e-3  # in a microsecond
 
 
-@dataclass(frozen=True)
-class Trial:
-    """What a graph did as fast as it could, beside what is asked of it."""
-
-    cycles: int  # states of the trial
-    median: float  # [ms] time of one cycle, from a state to the next
-    p99: float  # [ms] what 99 of 100 cycles do not exceed
-    period: float  # [ms] the control period that is asked for, in wall time
-
-    @property
-    def holds(self) -> bool:
-        """Whether 99 of 100 cycles are shorter than the period."""
-        return self.p99 <= self.period
-
-    @property
-    def line(self) -> str:
-        found = (
-            f"trial of {self.cycles} states: a cycle takes {self.median:.2f} ms, 99 of 100 at "
-            f"most {self.p99:.2f} ms"
-        )
-        wanted = f"{self.period:.4g} ms ({1e3 / self.period:.4g} Hz)"
-        if self.holds:
-            return f"{found}: {wanted} can be held"
-        how_often = "most" if self.median > self.period else "some"
-        return (
-            f"{found}: more than {wanted}, so that {how_often} states will be late or lost; a "
-            f"lower control.rate, --composed, --engine mujoco or --no-record ask for less"
-        )
-
-
-def run_trial(experiment: Experiment, label: str, options: GraphOptions) -> Trial:
-    """Run the beginning of an experiment in lock-step, in the same processes."""
+def run_trial(experiment: Experiment, label: str, options: GraphOptions) -> str:
+    """Run the beginning of an experiment in lock-step, and say whether its rate can be held."""
     short = replace(experiment, duration=min(LONGEST, experiment.duration))
     with tempfile.TemporaryDirectory(prefix="hpid_trial_") as name:
         folder = Path(name)
@@ -411,9 +371,22 @@ def run_trial(experiment: Experiment, label: str, options: GraphOptions) -> Tria
         )
     assert report.timing is not None
     cycle = report.timing.cycle
-    return Trial(
-        report.states,
-        cycle.median * _MILLISECONDS,
-        cycle.p99 * _MILLISECONDS,
-        experiment.world.control_period_ns * 1e-6,
+    period = experiment.world.control_period_ns * 1e-6
+    return trial_line(
+        report.states, cycle.median * _MILLISECONDS, cycle.p99 * _MILLISECONDS, period
+    )
+
+
+def trial_line(cycles: int, median: float, p99: float, period: float) -> str:
+    """Say what so many cycles took, in [ms], beside the control period that is asked for."""
+    found = (
+        f"trial of {cycles} states: a cycle takes {median:.2f} ms, 99 of 100 at most {p99:.2f} ms"
+    )
+    wanted = f"{period:.4g} ms ({1e3 / period:.4g} Hz)"
+    if p99 <= period:
+        return f"{found}: {wanted} can be held"
+    how_often = "most" if median > period else "some"
+    return (
+        f"{found}: more than {wanted}, so that {how_often} states will be late or lost; a "
+        f"lower control.rate, --composed, --engine mujoco or --no-record ask for less"
     )

@@ -20,7 +20,7 @@ from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.description import Experiment, nested
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
@@ -45,7 +45,7 @@ def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> d
         values = each.to_parameters()
         if each.model.is_on and not each.model.description:
             values["model.description"] = robot
-        document[f"{ANYWHERE}{controller_name(each.joint)}"] = {"ros__parameters": _nested(values)}
+        document[f"{ANYWHERE}{controller_name(each.joint)}"] = {"ros__parameters": nested(values)}
     return document
 
 
@@ -112,18 +112,6 @@ def _robot_file(text: str, folder: Path) -> Path:
         if path.read_text(encoding="utf-8") == text:
             break
     return path
-
-
-def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return dotted names as nested mappings, the form that ``ros2 param dump`` gives."""
-    nested: dict[str, Any] = {}
-    for name, value in values.items():
-        *path, last = name.split(".")
-        inner = nested
-        for part in path:
-            inner = inner.setdefault(part, {})
-        inner[last] = value
-    return nested
 
 
 def recorded_topics(settings: WorldSettings) -> list[str]:

@@ -253,47 +253,14 @@ def module_of(executable: str) -> str:
 
 
 class NodeProcess:
-    """One node in a process of its own, in a session of its own, with a pipe for its events."""
-
-    popen: ClassVar[type[subprocess.Popen[bytes]]] = subprocess.Popen
+    """One node in a process of its own, with a pipe for its events."""
 
     def __init__(
-        self,
-        name: str,
-        executable: str,
-        arguments: Sequence[str],
-        environment: Mapping[str, str],
-        log: Path,
-        is_renamed: bool = True,
-        is_batch: bool = False,
-        prefix: Sequence[str] = (),
-        has_input: bool = False,
+        self, name: str, process: subprocess.Popen[bytes], events: int, log: Path
     ) -> None:
-        self.name = name
-        self.log = log
+        self.name, self.process, self.events, self.log = name, process, events, log
+        self.is_open = True  # whether events may still come
         self._buffer = b""
-        reader, writer = os.pipe()
-        os.set_blocking(reader, False)
-        self.events = reader
-        command = [
-            *prefix,
-            *(sys.executable, "-m", module_of(executable), "--ros-args"),
-            *(("-r", f"__node:={name}") if is_renamed else ()),
-            *("-p", f"status_fd:={writer}"),
-            *arguments,
-        ]
-        with log.open("wb") as output:
-            self.process = self.popen(
-                command,
-                stdin=subprocess.PIPE if has_input else subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=dict(environment),
-                pass_fds=[writer],
-                start_new_session=True,
-                preexec_fn=Beginning(signal.SIGTERM, is_batch),
-            )
-        os.close(writer)
 
     @property
     def pid(self) -> int:
@@ -304,6 +271,7 @@ class NodeProcess:
         try:
             while chunk := os.read(self.events, 65536):
                 self._buffer += chunk
+            self.is_open = False
         except BlockingIOError:
             pass
         *lines, self._buffer = self._buffer.split(b"\n")
@@ -318,6 +286,8 @@ class NodeProcess:
 class NodeGroup:
     """Starts nodes and ends all of them, whatever happens."""
 
+    popen: ClassVar[type[subprocess.Popen[bytes]]] = subprocess.Popen
+
     def __init__(
         self,
         environment: Mapping[str, str],
@@ -326,8 +296,8 @@ class NodeGroup:
         is_batch: bool = False,
         prefix: Sequence[str] = (),
     ) -> None:
-        self._environment, self._logs = environment, logs
-        self._is_batch, self._prefix = is_batch, prefix
+        self._environment, self._logs = dict(environment), logs
+        self._beginning, self._prefix = Beginning(signal.SIGTERM, is_batch), prefix
         self.nodes: dict[str, NodeProcess] = {}
 
     def start(
@@ -339,19 +309,30 @@ class NodeGroup:
         is_renamed: bool = True,
         has_input: bool = False,
     ) -> NodeProcess:
+        """Start a node in a session of its own."""
         log = self._logs / f"{name}.log"
-        with uninterrupted():
-            self.nodes[name] = node = NodeProcess(
-                name,
-                executable,
-                arguments,
-                self._environment,
-                log,
-                is_renamed,
-                self._is_batch,
-                self._prefix,
-                has_input,
+        with uninterrupted(), log.open("wb") as output:
+            reader, writer = os.pipe()
+            os.set_blocking(reader, False)
+            command = [
+                *self._prefix,
+                *(sys.executable, "-m", module_of(executable), "--ros-args"),
+                *(("-r", f"__node:={name}") if is_renamed else ()),
+                *("-p", f"status_fd:={writer}"),
+                *arguments,
+            ]
+            process = self.popen(
+                command,
+                stdin=subprocess.PIPE if has_input else subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                pass_fds=[writer],
+                start_new_session=True,
+                preexec_fn=self._beginning,
             )
+            os.close(writer)
+            self.nodes[name] = node = NodeProcess(name, process, reader, log)
         return node
 
     def stop(self, names: Sequence[str] | None = None, patience: float = 1.5) -> None:

@@ -24,7 +24,7 @@ from hpid_ros.base.units import Numbers, unit_over
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.settings import LawName, LoopSettings
 from hpid_ros.experiment.batch import LAST_ERROR, Runner, RunRecord, RunTask, run_batch
-from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.description import Experiment, flat, nested
 from hpid_ros.experiment.result_folder import ResultFolder, versions
 from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import PAPER
@@ -529,8 +529,8 @@ def compare_entry(
     """
     source = source_label(experiment, space.law)
     written = yaml.safe_load(experiment.text)["compare"][source] or {}
-    common = _flat({key: value for key, value in written.items() if key != _JOINTS})
-    each = {joint: _flat(entry) for joint, entry in written.get(_JOINTS, {}).items()}
+    common = flat({key: value for key, value in written.items() if key != _JOINTS})
+    each = {joint: flat(entry) for joint, entry in written.get(_JOINTS, {}).items()}
     common["law"] = space.law
     for name in space.changed:
         values = {loop.joint: loop.to_parameters()[name] for loop in loops}
@@ -541,25 +541,9 @@ def compare_entry(
         else:
             for joint, value in values.items():
                 each.setdefault(joint, {})[name] = value
-    entry = _nested(common)
-    own = {joint: _nested(each[joint]) for joint in experiment.world.joints if each.get(joint)}
+    entry = nested(common)
+    own = {joint: nested(each[joint]) for joint in experiment.world.joints if each.get(joint)}
     return {**entry, _JOINTS: own} if own else entry
-
-
-def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in entry.items():
-        below = value.items() if isinstance(value, Mapping) else [(None, value)]
-        flat |= {key if rest is None else f"{key}.{rest}": each for rest, each in below}
-    return flat
-
-
-def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
-    nested: dict[str, Any] = {}
-    for name, value in flat.items():
-        section, _, key = name.rpartition(".")
-        (nested.setdefault(section, {}) if section else nested)[key] = value
-    return nested
 
 
 class SearchResult:

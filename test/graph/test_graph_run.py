@@ -186,7 +186,7 @@ def test_a_run_that_loses_what_it_cannot_do_without_fails_in_one_line(
 class SlowRecorder:
     """A recorder that has written one state more at each look, 6 s after the one before."""
 
-    name = "bag_recorder"
+    name, is_open = "bag_recorder", True
 
     def __init__(self, monkeypatch, most):
         self._counts, self._most, self._now = 0, most, 0.0
@@ -211,7 +211,7 @@ def test_a_recorder_is_waited_for_as_long_as_it_gets_on(monkeypatch, most):
     recorder = SlowRecorder(monkeypatch, most)
     group = SimpleNamespace(nodes={recorder.name: recorder})
     nodes = SimpleNamespace(
-        start=lambda group: [recorder], bridge="bridge", recorder=recorder.name, topics=()
+        start=lambda group: None, bridge="bridge", recorder=recorder.name, topics=()
     )
     run = graph_run._GraphRun(nodes, "PID", group, NoProgress())
     run.start()
