@@ -9,10 +9,11 @@ from hpid_ros.cli.main import main
 ARM = ["arm_joint_1", "arm_joint_2", "arm_joint_3"]
 
 
-def study(files, folder, *options, seeds=2, jobs=1):
-    """Run ``hpid study`` and return its exit code."""
-    arguments = [*map(str, files), "--seeds", str(seeds), "--jobs", str(jobs), "-o", str(folder)]
-    return main(["study", *arguments, *map(str, options)])
+def study(files, folder, *options, seeds=2):
+    """Run ``hpid study`` in this process, or where the options say, and return its exit code."""
+    where = () if "--scheduler" in options else ("--jobs", "1")
+    arguments = [*files, "--seeds", seeds, *where, "-o", folder, *options]
+    return main(["study", *map(str, arguments)])
 
 
 def wait_until(is_true, within=120.0):

@@ -1,10 +1,16 @@
 """Fixtures of sweeps and studies: short experiments, and which runs are made of them."""
 
-import pytest
-from harness.studies import ARM
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
 
+import pytest
+from harness.experiments import write_experiment
+from harness.studies import ARM, study
+
+from hpid_ros.cli.commands import DONE
 from hpid_ros.experiment import batch
-from hpid_ros.experiment.batch import simulated
+from hpid_ros.experiment.batch import run_batch, simulated
 from hpid_ros.experiment.description import load_experiment
 
 
@@ -14,13 +20,22 @@ def experiment(experiment_file):
     return load_experiment(experiment_file(duration=0.1))
 
 
+@pytest.fixture(scope="session")
+def finished_study(tmp_path_factory):
+    """Return two experiments of a twentieth of a second, and the folder of their study."""
+    place = tmp_path_factory.mktemp("study")
+    calm = write_experiment(place, "a.yaml", 0.05, name="calm", judge={"joints": ARM})
+    noisy = write_experiment(place, "b.yaml", 0.05, name="noisy", sensors__noise=1e-3)
+    assert study([calm, noisy], place / "s") == DONE
+    return [calm, noisy], place / "s"
+
+
 @pytest.fixture
-def study_files(experiment_file):
-    """Return two experiments of a twentieth of a second."""
-    return [
-        experiment_file("a.yaml", duration=0.05, name="calm", judge={"joints": ARM}),
-        experiment_file("b.yaml", duration=0.05, name="noisy", sensors__noise=1e-3, judge={}),
-    ]
+def studied(finished_study, tmp_path):
+    """Return a copy of both, for one test."""
+    files, folder = finished_study
+    shutil.copytree(folder, tmp_path / "s")
+    return [Path(shutil.copy(file, tmp_path)) for file in files], tmp_path / "s"
 
 
 @pytest.fixture
@@ -34,3 +49,19 @@ def study_runs(monkeypatch):
 
     monkeypatch.setattr(batch, "simulated", watched)
     return labels
+
+
+@contextmanager
+def _last_first():
+    def run(tasks, jobs):
+        return run_batch(dict(reversed(tasks.items())), 1)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "run_batch", run)
+        yield
+
+
+@pytest.fixture
+def backwards():
+    """Return a block in which the last run of a batch ends first, as with many processes."""
+    return _last_first()

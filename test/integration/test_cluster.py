@@ -5,17 +5,16 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from harness.engines import shipped
+from harness.studies import study, wait_until
 
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
-from hpid_ros.cli.main import main
 from hpid_ros.experiment import cluster as client
 from hpid_ros.experiment.batch import RunTask, WorldKeeper, run_batch, simulate
 from hpid_ros.experiment.cluster import Cluster, differences, pack, traits, unpack, work
@@ -32,30 +31,29 @@ class Processes:
         self._folder, self._started = folder, []
         self.address = self._start("scheduler", "--host", "127.0.0.1", "--port", "0")
 
-    def worker(self, folder=None):
+    def worker(self, folder=""):
         """Start a worker of one thread; ``folder`` comes first where it looks for modules."""
         options = ("--nthreads", "1", "--no-nanny")
         self._start("worker", self.address, *options, folder=folder)
         return self._started[-1]
 
-    def _start(self, kind, *options, folder=None):
+    def _start(self, kind, *options, folder=""):
         """Start a process, and return where it listens."""
         log = self._folder / f"{kind}_{len(self._started)}.log"
-        environment = dict(os.environ, PYTHONPATH=f"{folder or ''}:{os.environ['PYTHONPATH']}")
+        path = os.pathsep.join(filter(None, (str(folder), *sys.path)))
         with log.open("wb") as stream:
             process = subprocess.Popen(
                 [sys.executable, "-m", "dask", kind, *options, "--no-dashboard"],
                 stdout=stream,
                 stderr=stream,
-                env=environment,
+                env=dict(os.environ, PYTHONPATH=path),
             )
         self._started.append(process)
         said = "Registered to" if kind == "worker" else "Scheduler at"
-        deadline = time.monotonic() + 60.0
-        while not (found := re.search(rf"{said}: *(tcp://\S+)", log.read_text())):
-            assert process.poll() is None, log.read_text()
-            assert time.monotonic() < deadline, log.read_text()
-            time.sleep(0.05)  # else this loop would take the processor that it waits for
+        place = re.compile(rf"{said}: *(tcp://\S+)")
+        wait_until(lambda: place.search(log.read_text()) or process.poll() is not None)
+        found = place.search(log.read_text())
+        assert found, log.read_text()
         return found[1]
 
     def end(self):
@@ -65,86 +63,68 @@ class Processes:
 
 
 @pytest.fixture
-def cluster(tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+def cluster(tmp_path):
     processes = Processes(tmp_path)
     yield processes
     processes.end()
-
-
-def study(file, folder, *options, seeds=3):
-    arguments = [str(file), "--seeds", str(seeds), "-o", str(folder)]
-    return main(["study", *arguments, *map(str, options)])
 
 
 def written(folder):
     return [(folder / name).read_bytes() for name in WRITTEN]
 
 
-def test_a_cluster_that_loses_a_worker_gives_the_numbers_of_this_machine(
-    cluster, experiment_file, tmp_path, capsys, monkeypatch
+def test_what_is_lost_of_a_cluster_changes_no_number(
+    cluster, studied, tmp_path, capsys, monkeypatch
 ):
-    file = experiment_file(duration=0.1)
+    """A worker, whose runs go to the others; then the scheduler, after which one carries on."""
+    files, near = studied
     dying = cluster.worker()
     cluster.worker()
     taken = client.Cluster._record
 
-    def kill_one(self, *outcome):
+    def kill_one(self, *run):
         if dying.poll() is None:
             dying.send_signal(signal.SIGKILL)
             dying.wait()
-        return taken(self, *outcome)
+        return taken(self, *run)
 
     monkeypatch.setattr(client.Cluster, "_record", kill_one)
-    assert study(file, tmp_path / "far", "--scheduler", cluster.address) == DONE
+    assert study(files, tmp_path / "far", "--scheduler", cluster.address) == DONE
     assert f"2 workers at {cluster.address}, 2 runs at once" in capsys.readouterr().err
     assert dying.returncode == -signal.SIGKILL
-    assert study(file, tmp_path / "near", "--jobs", 1) == DONE
-    assert written(tmp_path / "far") == written(tmp_path / "near")
+    assert written(tmp_path / "far") == written(near)
     monkeypatch.undo()
-    leave_early(cluster.address, load_experiment(file))
+    leave_early(cluster.address, load_experiment(files[0]))
 
-
-def leave_early(address, experiment):
-    """Close a batch after its first run: the next one has the worker for itself."""
-    tasks = [
-        replace(RunTask.of(experiment, "PID"), world=replace(experiment.world, seed=k))
-        for k in range(40)
-    ]
-    with Cluster(address) as workers:
-        assert list(workers({})) == []
-        runs = workers(dict(enumerate(tasks)))
-        place, record = next(runs)
-        runs.close()
-        assert list(run_batch({place: tasks[place]}, 1)) == [(place, record)]
-        assert sorted(dict(workers(dict(enumerate(tasks[:3]))))) == [0, 1, 2]
-
-
-def test_a_lost_scheduler_leaves_what_was_run_and_another_one_carries_on(
-    cluster, experiment_file, tmp_path, capsys, monkeypatch
-):
-    file = experiment_file(duration=0.1)
-    cluster.worker()
-    taken = client.Cluster._record
-
-    def end_all(self, *outcome):
-        found = taken(self, *outcome)
+    def end_all(self, *run):
+        found = taken(self, *run)
         cluster.end()
         return found
 
     monkeypatch.setattr(client.Cluster, "_record", end_all)
-    assert study(file, tmp_path / "s", "--scheduler", cluster.address) == FAILED
+    assert study(files, tmp_path / "l", "--scheduler", cluster.address) == FAILED
     assert "is lost, and" in capsys.readouterr().err
-    assert len((tmp_path / "s" / "runs.jsonl").read_text().splitlines()) >= 1
-    monkeypatch.undo()
-    assert study(file, tmp_path / "s", "--resume") == DONE
-    assert study(file, tmp_path / "near") == DONE
-    assert written(tmp_path / "s") == written(tmp_path / "near")
+    assert len((tmp_path / "l" / "runs.jsonl").read_text().splitlines()) >= 1
+    assert study(files, tmp_path / "l", "--resume") == DONE
+    assert written(tmp_path / "l") == written(near)
 
 
-def test_a_worker_with_other_sources_is_refused_by_name(
-    cluster, experiment_file, tmp_path, capsys
-):
+def leave_early(address, experiment):
+    """Close a batch after its first run: the next one has the worker for itself."""
+    tasks = {
+        seed: RunTask.seeded(experiment, "", seed, experiment.controllers["PID"])
+        for seed in range(40)
+    }
+    with Cluster(address) as workers:
+        assert list(workers({})) == []
+        runs = workers(tasks)
+        seed, record = next(runs)
+        runs.close()
+        assert list(run_batch({seed: tasks[seed]}, 1)) == [(seed, record)]
+        assert set(dict(workers({seed: tasks[seed] for seed in range(3)}))) == {0, 1, 2}
+
+
+def test_a_worker_with_other_sources_is_refused_by_name(cluster, studied, tmp_path, capsys):
     other = tmp_path / "other"
     other.mkdir()
     (other / "hpid_ros").symlink_to(Path(sys.modules["hpid_ros"].__file__).parent)
@@ -155,11 +135,10 @@ def test_a_worker_with_other_sources_is_refused_by_name(
         "worker.traits = lambda engines: found\n"
     )
     cluster.worker(other)
-    file = experiment_file(duration=0.05)
-    assert study(file, tmp_path / "s", "--scheduler", cluster.address) == FAILED
+    assert study(studied[0], tmp_path / "r", "--scheduler", cluster.address) == FAILED
     line = capsys.readouterr().err.splitlines()[-1]
     assert "cannot take part: it has numpy 1.0 instead of" in line
-    assert not (tmp_path / "s").exists()
+    assert not (tmp_path / "r").exists()
 
 
 def test_a_worker_that_comes_later_is_looked_at_as_it_works(experiment_file):
@@ -189,7 +168,7 @@ def test_an_address_that_is_none_is_one_line(address, line, tmp_path, capsys, mo
     if address == "without":
         address = "127.0.0.1:8786"
         monkeypatch.setitem(sys.modules, "distributed", None)
-    code = study(STEP, tmp_path / "s", "--scheduler", address)
+    code = study([STEP], tmp_path / "s", "--scheduler", address)
     assert code == (FAILED if "no Dask" in line else BAD_INPUT)
     (told,) = capsys.readouterr().err.splitlines()
     assert told.startswith(f"hpid: {line}")
@@ -212,19 +191,22 @@ def test_a_robot_travels_with_its_meshes_and_keeps_its_numbers(path):
         assert one.effort.tolist() == other.effort.tolist()
 
 
-def test_shards_put_together_are_the_whole(experiment_file, tmp_path, capsys):
-    file = experiment_file(duration=0.05)
+def test_shards_put_together_are_the_whole(studied, tmp_path, capsys):
+    files, near = studied
     parts = [tmp_path / f"part{k}" for k in (1, 2, 3)]
     for k, part in enumerate(parts, 1):
-        assert study(file, part, "--shard", f"{k}/3", "--jobs", 1) == DONE
-        assert len((part / "runs.jsonl").read_text().splitlines()) == 2
+        assert study(files, part, "--shard", f"{k}/3") == DONE
+    made = [len((part / "runs.jsonl").read_text().splitlines()) for part in parts]
+    assert made == [3, 3, 2]
     merge = [word for part in parts for word in ("--merge", part)]
-    assert study(file, tmp_path / "all", *merge) == DONE
-    assert study(file, tmp_path / "near", "--jobs", 1) == DONE
-    assert written(tmp_path / "all") == written(tmp_path / "near")
-    capsys.readouterr()
-    assert study(file, tmp_path / "few", *merge[:4]) == BAD_INPUT
-    assert "2 of 6 runs are in none of the parts" in capsys.readouterr().err
-    assert study(file, tmp_path / "few", "--merge", tmp_path) == BAD_INPUT
-    assert study(file, tmp_path / "few", "--shard", "4/3") == BAD_INPUT
+    assert study(files, tmp_path / "all", *merge) == DONE
+    assert written(tmp_path / "all") == written(near)
+    for options, words in (
+        (merge[:4], "2 of 8 runs are in none of the parts"),
+        (("--merge", tmp_path), "is no study"),
+        (("--shard", "4/3"), "a shard is K/N"),
+    ):
+        capsys.readouterr()
+        assert study(files, tmp_path / "few", *options) == BAD_INPUT
+        assert words in capsys.readouterr().err
     assert not (tmp_path / "few").exists()

@@ -23,86 +23,68 @@ def runs_of(folder):
 
 
 @needs_bullet
-def test_both_engines_give_what_each_gives_alone_and_their_distance(study_files, tmp_path, capsys):
-    both = tmp_path / "both"
-    assert study(study_files, both, "--engine", "both") == DONE
-    printed = capsys.readouterr().out
-    assert "How far MuJoCo's totals lie from PyBullet's" in printed
-    alone = {}
-    for engine in ("pybullet", "mujoco"):
-        assert study(study_files, tmp_path / engine, "--engine", engine) == DONE
-        alone |= runs_of(tmp_path / engine)
-        assert not (tmp_path / engine / "engines.csv").exists()
-        assert "engines" not in saved(tmp_path / engine)
-    runs = runs_of(both)
-    assert runs == alone
-    totals = {key: row for key, row in runs.items() if key[-1] == "all"}
-    with (both / "engines.csv").open() as file:
-        rows = list(csv.DictReader(file))
+def test_the_other_engine_is_added_to_a_study_and_what_both_give_is_compared(
+    studied, tmp_path, capsys, study_runs
+):
+    files, folder = studied
+    alone = runs_of(folder)
+    assert "engines" not in saved(folder)
+    assert study(files, tmp_path / "pybullet", "--engine", "pybullet", seeds=1) == DONE
+    alone |= runs_of(tmp_path / "pybullet")
+    assert not (tmp_path / "pybullet" / "engines.csv").exists()
+    study_runs.clear()
+    assert study(files, folder, "--engine", "both", "--resume") == DONE
+    assert len(study_runs) == len([label for label in study_runs if "(pybullet)" in label]) == 8
+    assert "How far MuJoCo's totals lie from PyBullet's" in capsys.readouterr().out
+    runs = runs_of(folder)
+    assert alone.items() <= runs.items()
+    rows = list(csv.DictReader((folder / "engines.csv").open()))
     found = set()
     for row in rows:
         name = (row["experiment"], row["controller"], row["seed"])
         bullet, mujoco = (
-            totals[(name[0], engine, *name[1:], "all")][row["quantity"]]
+            runs[(name[0], engine, *name[1:], "all")][row["quantity"]]
             for engine in ("pybullet", "mujoco")
         )
         assert (row["pybullet"], row["mujoco"]) == (bullet, mujoco)
         assert float(row["distance"]) == float(mujoco) / float(bullet) - 1.0
         found.add((*name, row["quantity"]))
-    assert found >= {
-        (experiment, controller, seed, each.key)
-        for experiment, _, controller, seed, _ in totals
-        for each in INDICES
-    }
+    assert found >= {(key[0], *key[2:4], each.key) for key in runs for each in INDICES}
     assert any(float(row["distance"]) for row in rows)
-    document = saved(both)
+    document = saved(folder)
     assert set(document["experiments"]) == {
         f"{name} ({engine})" for name in ("calm", "noisy") for engine in ("pybullet", "mujoco")
     }
-    (ratio,) = [
-        each["ratios"]["ivc"]["median"]
-        for name, entry in document["experiments"].items()
-        for label, each in entry["controllers"].items()
-        if (name, label) == ("noisy (mujoco)", "hPID")
-    ]
-    of_engines = document["engines"]["noisy"]["hPID"]["ivc"]
-    assert of_engines["ratios"]["mujoco"] == pytest.approx(ratio, rel=1e-12)
+    ratio = document["experiments"]["noisy (mujoco)"]["controllers"]["hPID"]["ratios"]["ivc"]
+    of_engines = document["engines"]["noisy"]["hPID"]["ivc"]["ratios"]
+    assert of_engines["mujoco"] == pytest.approx(ratio["median"], rel=1e-12)
     # A claim holds only if it does in both.
     assert set(document["claims"]["hPID"][0]["figures"]) == set(document["experiments"])
-    assert {each.name for each in (both / "experiments").iterdir()} == {"calm.yaml", "noisy.yaml"}
-
-
-@needs_bullet
-def test_a_study_of_both_engines_is_carried_on_where_it_was_left(
-    study_files, tmp_path, study_runs
-):
-    folder = tmp_path / "s"
-    assert study(study_files, folder, "--engine", "both") == DONE
+    assert {each.name for each in (folder / "experiments").iterdir()} == {
+        "calm.yaml",
+        "noisy.yaml",
+    }
     whole = {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()}
-    assert len(study_runs) == 16
-    assert study(study_files, tmp_path / "m", "--engine", "mujoco") == DONE
-    study_runs.clear()  # and the other engine can be added to a study of one
-    assert study(study_files, tmp_path / "m", "--engine", "both", "--resume") == DONE
-    assert len([label for label in study_runs if "(pybullet)" in label]) == len(study_runs) == 8
-    lines = (folder / "runs.jsonl").read_text().splitlines(keepends=True)
-    (folder / "runs.jsonl").write_text("".join(lines[:5] + lines[8:]) + lines[6][:99])
+    journal = folder / "runs.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join(lines[:1] + lines[3:]) + lines[2][:99])
     study_runs.clear()
-    assert study(study_files, folder, "--engine", "both", "--resume") == DONE
-    assert len(study_runs) == 3
+    assert study(files, folder, "--engine", "both", "--resume") == DONE
+    assert len(study_runs) == 2
     assert {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()} == whole
 
 
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_an_engine_that_is_not_installed_is_one_line_before_anything_runs(
-    study_files, tmp_path, monkeypatch, capsys, engine
+    studied, tmp_path, monkeypatch, capsys, engine
 ):
     monkeypatch.setitem(sys.modules, engine, None)  # as if it were not
     missing = "is not installed: pip install"
     for wanted, words in ((engine, missing), ("both", missing), ("bullet", "unknown engine")):
-        assert study(study_files, tmp_path / "s", "--engine", wanted) == BAD_INPUT
+        assert study(studied[0], tmp_path / "e", "--engine", wanted) == BAD_INPUT
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line
-        assert not (tmp_path / "s").exists()
+        assert not (tmp_path / "e").exists()
 
 
 def test_robots_that_are_not_installed_are_named_and_left_out(monkeypatch, capsys):
