@@ -102,7 +102,7 @@ def bridge_parameters(**values: object) -> dict[str, object]:
 
 @pytest.mark.parametrize("changes", [{}, EVERYTHING], ids=["ideal", "everything"])
 def test_the_bridge_builds_the_very_world_of_the_experiment(
-    experiment_file, tmp_path, harness, changes
+    experiment_file, tmp_path, module_harness, changes
 ):
     """From the files of a run, and from the experiment's own."""
     experiment = load_experiment(experiment_file(**changes))
@@ -110,12 +110,12 @@ def test_the_bridge_builds_the_very_world_of_the_experiment(
     write_run_files(tmp_path, experiment, experiment.controllers["hPID"])
     write_document(tmp_path / "own.yaml", bridge_parameters(world_file=str(experiment.path)))
     for file in ("bridge.yaml", "own.yaml"):
-        there = bridge_settings(tmp_path / file, harness.context.get_domain_id())
+        there = bridge_settings(tmp_path / file, module_harness.context.get_domain_id())
         assert there.world == experiment.world, file
         assert there.control.answer_timeout == experiment.answer_timeout != 2.0
 
 
-def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, harness):
+def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, module_harness):
     given = bridge_parameters(
         world_file=str(experiment_file(**EVERYTHING)),
         seed=7,
@@ -127,7 +127,7 @@ def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, harness):
         initial_positions=[0.0] * 7 + [0.25],
     )
     write_document(tmp_path / "bridge.yaml", given)
-    found = bridge_settings(tmp_path / "bridge.yaml", harness.context.get_domain_id())
+    found = bridge_settings(tmp_path / "bridge.yaml", module_harness.context.get_domain_id())
     assert found.control.answer_timeout == 0.5
     world = found.world
     assert (world.seed, world.physics_steps, world.payload_mass) == (7, 2, 0.5)
@@ -154,7 +154,7 @@ def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, harness):
     ],
 )
 def test_a_world_that_cannot_be_is_refused_in_one_line(
-    tmp_path, harness, file, parameters, message
+    tmp_path, module_harness, file, parameters, message
 ):
     world = tmp_path / "world.yaml"
     if file is not None:
@@ -162,7 +162,7 @@ def test_a_world_that_cannot_be_is_refused_in_one_line(
     given = bridge_parameters(world_file=str(world), **parameters)
     write_document(tmp_path / "bridge.yaml", given)
     with pytest.raises(HpidError) as caught:
-        bridge_settings(tmp_path / "bridge.yaml", harness.context.get_domain_id())
+        bridge_settings(tmp_path / "bridge.yaml", module_harness.context.get_domain_id())
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 

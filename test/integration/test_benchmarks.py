@@ -20,7 +20,7 @@ from benchmarks import results
 from benchmarks.engine import group as engine_group
 from benchmarks.figures import Bound, Figure, Group, Outcome, Source, middle
 from benchmarks.floor_graph import run_floor
-from benchmarks.measuring import figures_of, time_per_item
+from benchmarks.measuring import figures_of
 from benchmarks.merging import FORMS, Load, measure
 from benchmarks.pendulums import LABEL, pendulum_experiment
 from hpid_ros.base.errors import RunError
@@ -113,13 +113,6 @@ def test_contenders_that_no_wanted_figure_needs_are_not_measured():
     other = Figure("a.c", "us", Source("other", "time"), Source("peer", "time"), "a peer")
     figures_of(Group(contenders, (figure(), other)), {"a.b"}, 1, lambda line: None)
     assert set(measured) == {"ours", "peer"}
-
-
-def test_time_per_item_is_a_time():
-    found = time_per_item(lambda: sum(range(100_000)), 10)
-    begin = time.perf_counter()
-    sum(range(100_000))
-    assert 0.01 < 10 * found / (time.perf_counter() - begin) < 100.0
 
 
 def test_every_demanded_figure_exists_once():
@@ -222,9 +215,9 @@ def _is_running(pid):
         return False
 
 
-@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+@pytest.mark.parametrize("form", [FORMS["one process"], FORMS["a process each, and a merger"]])
 def test_a_merger_makes_one_message_of_the_answers_to_a_state(form):
-    found = measure(form, Load(["a", "b", "c", "d"], rate=250.0, seconds=1.0, priority=0))
+    found = measure(form, Load(["a", "b", "c", "d"], rate=250.0, seconds=0.5, priority=0))
     assert found["median"] > 0.0
     assert 0.0 < found["answered"] <= 1.0
     # A busy machine may lose some, or send a straggler's answer apart.

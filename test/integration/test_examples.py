@@ -62,8 +62,8 @@ def test_an_example_says_what_it_promises(name, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("name", [each for each in SAYS if each.startswith("ros/")])
-def test_an_example_on_the_graph_says_what_it_promises(name, tmp_path, harness):
-    """In a domain of its own, without a robot."""
+def test_an_example_on_the_graph_says_what_it_promises(name, tmp_path, module_harness):
+    """In a domain of the tests, without a robot."""
     command = [sys.executable, EXAMPLES / name]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr

@@ -6,42 +6,41 @@ import numpy as np
 import pytest
 
 from hpid_ros.cli.main import main
+from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph_run import trial_line
+from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.run import read_run
-
-FORMS = {"each": [], "composed": ["--composed"], "single": ["--single-process"]}
-PROCESSES = {"each": 11, "composed": 4, "single": 2}
 
 
 def run(file, folder, *options):
     return main(["run", str(file), "-o", str(folder), "--controller", "hPID", *options])
 
 
-def test_processes_change_nothing_of_the_numbers(experiment_file, tmp_path, capsys):
-    file = experiment_file()
-    runs = {}
-    for form, options in FORMS.items():
-        folder = tmp_path / form
-        assert run(file, folder, *options) == 0
-        assert "arm_joint_6" in capsys.readouterr().out
-        timing = json.loads((folder / "timing.json").read_text())["runs"]["hPID"]
-        assert timing["processes"] == PROCESSES[form]
-        assert timing["warnings"] == []
-        joints = timing["timing"]["joints"]
-        assert len(joints) == 8
-        for joint in joints.values():
-            assert joint["samples"] == 301
-            assert joint["missed"] == joint["unanswered"] == 0
-            assert joint["period"]["samples"] == 300
-            assert 0 < joint["compute"]["median"] <= joint["compute"]["maximum"]
-            assert 0 < joint["latency"]["median"] <= joint["latency"]["maximum"]
-        assert main(["replay", str(folder / "bags" / "hPID")]) == 0
-        assert "every one of 2 408 commands is the law's" in capsys.readouterr().out
-        runs[form] = read_run(folder / "bags" / "hPID", "hPID").joints
-    for form in ("composed", "single"):
-        for one, other in zip(runs["each"], runs[form], strict=True):
-            assert np.array_equal(one.position, other.position)
-            assert np.array_equal(one.effort, other.effort)
+@pytest.mark.parametrize(("option", "processes"), [("--composed", 4), ("--single-process", 2)])
+def test_processes_change_nothing_of_the_numbers(
+    experiment_file, tmp_path, capsys, option, processes
+):
+    """Against the engine in one process; a process for each joint is in test_graph_run.py."""
+    file, folder = experiment_file(), tmp_path / "graph"
+    assert run(file, folder, option) == 0
+    assert "arm_joint_6" in capsys.readouterr().out
+    timing = json.loads((folder / "timing.json").read_text())["runs"]["hPID"]
+    assert timing["processes"] == processes
+    assert timing["warnings"] == []
+    assert len(timing["timing"]["joints"]) == 8
+    for joint in timing["timing"]["joints"].values():
+        assert joint["samples"] == 301
+        assert joint["missed"] == joint["unanswered"] == 0
+        assert joint["period"]["samples"] == 300
+        for name in ("compute", "latency"):
+            assert 0 < joint[name]["median"] <= joint[name]["maximum"]
+    assert main(["replay", str(folder / "bags" / "hPID")]) == 0
+    assert "every one of 2 408 commands is the law's" in capsys.readouterr().out
+    run_without_ros(load_experiment(file), "hPID", tmp_path / "here", NoProgress())
+    bags = (folder / "bags" / "hPID", tmp_path / "here")
+    for one, other in zip(*(read_run(bag, "hPID").joints for bag in bags), strict=True):
+        assert np.array_equal(one.position, other.position)
+        assert np.array_equal(one.effort, other.effort)
 
 
 def test_realtime_keeps_the_wall_clock(experiment_file, tmp_path, capsys):
