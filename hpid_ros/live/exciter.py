@@ -33,7 +33,7 @@ from hpid_ros.motion.excitation import ExcitationPlan, PlannedJoint
 from hpid_ros.motion.joint_trajectory import PointArrays
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, NEWEST_STATES, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusPipe
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
 from hpid_ros.nodes.parts.goal_graph import FollowerInputs, GroupTrajectoryPublisher

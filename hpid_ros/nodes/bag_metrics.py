@@ -21,7 +21,7 @@ from hpid_ros.metrics.results import RunIndices, in_units
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import LATCHED, steady_timer
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.report.export import FORMATS
 from hpid_ros.robot.description import RobotDescription

@@ -33,7 +33,7 @@ from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import OFFERED, steady_timer
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 
 _LOOK_PERIOD = 0.02  # [s]

@@ -19,7 +19,7 @@ from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import steady_timer
-from hpid_ros.nodes.core.process import declare, read
+from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, GoalFollower, Outcome
 from hpid_ros.nodes.parts.goal_graph import FollowerInputs, GroupTrajectoryPublisher

@@ -19,7 +19,8 @@ from hpid_ros.messages.joint_state import EffortReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import Scheduling, read, read_one, schedule
+from hpid_ros.nodes.core.parameters import read, read_one
+from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.rclpy_internals import given_parameters
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.bridge_commanders import Commanders

@@ -25,7 +25,8 @@ from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import NEWEST_STATES, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import Scheduling, declare, read, schedule
+from hpid_ros.nodes.core.parameters import declare, read
+from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
 from hpid_ros.nodes.parts.controller_health import (

@@ -14,7 +14,7 @@ from hpid_ros.base.names import controller_name
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
 from hpid_ros.nodes.parts.joint_topics import JOINT_STATE, SINKS, SharedTopics, Sinks

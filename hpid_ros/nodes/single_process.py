@@ -11,7 +11,7 @@ from hpid_ros.nodes import joint_controllers
 from hpid_ros.nodes.bag_recorder import BagRecorder
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.parts.bridge import RobotBridge
 from hpid_ros.simulation.settings import ENGINES, default_engine
 

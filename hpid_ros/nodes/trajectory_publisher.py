@@ -23,7 +23,7 @@ from hpid_ros.motion.references import planned_reference
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import LATCHED, NEWEST_STATES, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.references import to_message
 from hpid_ros.robot.description import RobotDescription

@@ -67,16 +67,15 @@ from hpid_ros.base.errors import ClaimError, HpidError, SettingError
 from hpid_ros.base.processes import optional_libraries
 from hpid_ros.base.text import shown
 from hpid_ros.nodes.core.middleware import load_profile
-from hpid_ros.nodes.core.process import end, end_in_time, end_with_the_launch, warn_if_unprotected
-from hpid_ros.nodes.core.rclpy_internals import given_parameters
-from hpid_ros.nodes.core.services import (
-    Answers,
+from hpid_ros.nodes.core.parameters import (
     ParameterSources,
     as_declared,
     declared_names,
-    guard_services,
     require_known,
 )
+from hpid_ros.nodes.core.process import end, end_in_time, end_with_the_launch, warn_if_unprotected
+from hpid_ros.nodes.core.rclpy_internals import given_parameters
+from hpid_ros.nodes.core.services import Answers, guard_services
 from hpid_ros.nodes.core.status import flush_events
 
 T = TypeVar("T")

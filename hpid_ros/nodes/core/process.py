@@ -1,4 +1,4 @@
-"""A node's process and its own parameters: scheduling, launch, end, DDS security.
+"""A node's process: scheduling, launch, end, DDS security.
 
 ``ros2 launch`` ends its processes on SIGINT; SIGTERM and SIGKILL end it alone, and what it started
 would go on driving the robot. This package's launch files name themselves to what they start, and
@@ -13,96 +13,20 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import faulthandler
-import math
 import mmap
 import os
 import signal
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.records import (
-    AnyRecord,
-    ParameterSpec,
-    Record,
-    from_parameters,
-    parameters_of,
-    quantity,
-)
-from hpid_ros.base.units import of_slide
-
-
-def descriptor(spec: ParameterSpec, description: str, *, read_only: bool) -> ParameterDescriptor:
-    shown = ParameterDescriptor(
-        description=description,
-        read_only=read_only,
-        additional_constraints=_constraints(spec),
-    )
-    if spec.slider:
-        low, high = spec.slider
-        shown.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
-    return shown
-
-
-def _constraints(spec: ParameterSpec) -> str:
-    if spec.choices:
-        return f"one of: {', '.join(spec.choices)}"
-    if isinstance(spec.default, float) and math.isfinite(spec.minimum + spec.maximum):
-        return f"from {spec.minimum:g} to {spec.maximum:g}"
-    return ""
-
-
-def declare(
-    node: Node,
-    specs: Iterable[ParameterSpec],
-    read_only: Iterable[str] = (),
-    *,
-    is_slide: bool = False,
-) -> None:
-    """Declare parameters from their records; for a prismatic joint in m and N."""
-    fixed = set(read_only)
-    for spec in specs:
-        text = of_slide(spec.description) if is_slide else spec.description
-        shown = descriptor(spec, text, read_only=spec.name in fixed)
-        node.declare_parameter(spec.name, spec.default, shown)
-
-
-_TYPES = {
-    bool: Parameter.Type.BOOL,
-    int: Parameter.Type.INTEGER,
-    float: Parameter.Type.DOUBLE,
-    str: Parameter.Type.STRING,
-    tuple[str, ...]: Parameter.Type.STRING_ARRAY,
-    tuple[int, ...]: Parameter.Type.INTEGER_ARRAY,
-    tuple[float, ...]: Parameter.Type.DOUBLE_ARRAY,
-}
-
-
-def read(node: Node, kind: type[AnyRecord], **defaults: Any) -> AnyRecord:
-    """Declare a record's parameters, fixed when the node starts, and return what they say."""
-    values = {}
-    for name, spec in parameters_of(kind).items():
-        default = defaults.get(spec.path, spec.default)
-        values[name] = read_one(node, spec, default)
-    return from_parameters(kind, values)
-
-
-def read_one(node: Node, spec: ParameterSpec, default: object = None, note: str = "") -> Any:
-    """Declare one parameter, fixed when the node starts, and return its value; None if not given.
-
-    Without a default its type alone is declared.
-    """
-    shown = descriptor(spec, spec.description + note, read_only=True)
-    start = _TYPES[spec.field.kind] if default is None else default
-    start = list(start) if isinstance(start, tuple) else start
-    return node.declare_parameter(spec.name, start, shown).value
+from hpid_ros.base.records import Record, quantity
+from hpid_ros.nodes.core.parameters import read
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from rclpy.node import Node
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.text import bounded
 from hpid_ros.nodes.core.middleware import RARE
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 
 
 def _fifos() -> frozenset[int]:

@@ -27,12 +27,8 @@ from hpid_ros.nodes.core.middleware import (
     steady_timer,
     subscribe_raw,
 )
-from hpid_ros.nodes.core.process import (
-    Scheduling,
-    read,
-    read_one,
-    schedule,
-)
+from hpid_ros.nodes.core.parameters import read, read_one
+from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.bridge_commanders import Commanders, HeldCommands
 from hpid_ros.nodes.parts.bridge_services import (

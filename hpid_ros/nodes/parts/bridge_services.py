@@ -22,7 +22,7 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages import reports as wire
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.simulation.gripper import GRASPED, LOST, MISSED, GripEvent
 from hpid_ros.simulation.reports import CLOCK, KINDS, REPORT_RATE, Reports, grip_words
 from hpid_ros.simulation.world import World

@@ -34,7 +34,7 @@ from hpid_ros.base.names import claim_topic
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, has_shared_memory_alone, steady_timer
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 
 _PREFIX = "hpid_ros/"
 _LONGEST_NAME = 107  # bytes of an abstract name, by the kernel

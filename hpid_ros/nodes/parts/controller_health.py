@@ -16,7 +16,7 @@ from hpid_ros.control.joint_loop import JointLoop, LoopState
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.nodes.core.middleware import steady_timer
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics
 from hpid_ros.nodes.parts.controller_settings import ModelCompensation
 from hpid_ros.stability.certifier import Certifier

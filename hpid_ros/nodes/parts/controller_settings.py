@@ -22,7 +22,7 @@ from hpid_ros.control.settings import (
     Value,
 )
 from hpid_ros.messages.joint_state import JointSample, RobotReader
-from hpid_ros.nodes.core.process import declare, read
+from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.robot.description import robot_limits
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import steady_timer
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.rclpy_internals import destroy_lifecycle, lifecycle_state
 from hpid_ros.nodes.parts.joint_topics import Commands
 

@@ -38,7 +38,7 @@ from hpid_ros.motion.joint_trajectory import (
 )
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable
-from hpid_ros.nodes.core.process import read
+from hpid_ros.nodes.core.parameters import read
 
 
 def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:

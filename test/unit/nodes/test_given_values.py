@@ -10,7 +10,7 @@ from hpid_ros.base.names import NODE_PARAMETERS, is_for, node_sections
 from hpid_ros.base.records import names_of
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.nodes.core.services import as_declared, require_known
+from hpid_ros.nodes.core.parameters import as_declared, require_known
 from hpid_ros.nodes.joint_controller import RECORDS
 
 T = Parameter.Type
