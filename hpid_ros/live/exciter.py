@@ -36,7 +36,7 @@ from hpid_ros.nodes.core.middleware import ALL_COMMANDS, NEWEST_STATES, steady_t
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusPipe
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
-from hpid_ros.nodes.parts.goal_graph import FollowerInputs, GroupTrajectoryPublisher
+from hpid_ros.nodes.parts.goal_graph import GroupTopics
 from hpid_ros.nodes.parts.goals import GoalRequest, GroupSettings, JointFacts, ResultCode
 
 
@@ -208,9 +208,6 @@ class Exciter(executor.ClosingNode):
             )
         )
         self._watch = Watch(plan)
-        self._trajectories = GroupTrajectoryPublisher(
-            self, plan.names, lambda: self._follower.is_active, self._give_way
-        )
         self._listen([each.bounds.controller for each in plan.joints])
         self._status = StatusPipe(self)
         self._reason = ""
@@ -235,14 +232,13 @@ class Exciter(executor.ClosingNode):
         self._efforts = EffortReader()
         subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
         self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
-        self._inputs = FollowerInputs(
+        self._topics = GroupTopics(
             self,
             self._follower,
             ["joint_states"],
             references,
             self._act,
             lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0),
-            lambda stood: self.get_logger().warning(f"stood still for {stood:.3g} s"),
         )
 
     def _on_reference(self, raw: bytes) -> None:
@@ -264,9 +260,6 @@ class Exciter(executor.ClosingNode):
             return
         self._commanded.update(zip(names, efforts, strict=True))
 
-    def _give_way(self, joints: Sequence[str]) -> None:
-        self._act(self._follower.yield_joints(joints))
-
     def _act(self, outcome: Outcome | None) -> None:
         """Tell controllers what follows from something; look at the limits if nothing does."""
         if outcome is None and self._follower.is_active:
@@ -275,7 +268,7 @@ class Exciter(executor.ClosingNode):
         if outcome is None:
             return
         if outcome.trajectory is not None:
-            self._trajectories.publish(outcome.trajectory)
+            self._topics.publish(outcome.trajectory)
             self._is_untold = False
         if outcome.result is not None and not self._resting:
             is_done = outcome.result.code == ResultCode.SUCCESSFUL
@@ -391,7 +384,7 @@ class Exciter(executor.ClosingNode):
                     f"{planned.bounds.controller} tells no ~/reference: it must be active, with "
                     f"an introspection_rate other than 0"
                 )
-        deaf = self._controllers - self._trajectories.subscribers()
+        deaf = self._controllers - self._topics.subscribers()
         if deaf:
             return f"{', '.join(sorted(deaf))} do not hear joint_trajectory as it is named here"
         if self._recorder and self._recorder not in self._who_hears_states():
@@ -430,7 +423,7 @@ class Exciter(executor.ClosingNode):
 
     def close(self) -> None:
         """Wait until the last trajectory has been heard, and say how it ended if nobody has."""
-        self._trajectories.wait_until_acknowledged()
+        self._topics.wait_until_acknowledged()
         if self._resting is None or not self._resting.done():
             is_at_rest = not self._has_begun or self._is_at_rest()
             self._status.send("stopped", reason=self._reason, is_at_rest=is_at_rest)

@@ -22,7 +22,7 @@ from hpid_ros.nodes.core.middleware import steady_timer
 from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, GoalFollower, Outcome
-from hpid_ros.nodes.parts.goal_graph import FollowerInputs, GroupTrajectoryPublisher
+from hpid_ros.nodes.parts.goal_graph import GroupTopics
 from hpid_ros.nodes.parts.goal_server import GoalServer, action_type
 from hpid_ros.nodes.parts.goals import (
     FIXED_PARAMETERS,
@@ -134,7 +134,6 @@ class GoalHealth(Diagnostics):
         super().__init__(node, ", ".join(joints))
         self._logger = node.get_logger()
         self._counts: Counter[str] = Counter()
-        self.misread = self.stood_still = 0
         self._last_result = ""
 
     def note(self, result: Result) -> None:
@@ -147,10 +146,6 @@ class GoalHealth(Diagnostics):
         self._last_result = f"{result.code.name.lower()}: {result.text}"
         self._logger.warning(f"goal ended: {self._last_result}", throttle_duration_sec=0.1)
 
-    def misread_message(self, line: str) -> None:
-        self.misread += 1
-        self.fault(line)
-
     def readings(self) -> dict[str, object]:
         """Return the counts by name."""
         ends = [code.name.lower() for code in ResultCode if code is not ResultCode.SUCCESSFUL]
@@ -159,8 +154,6 @@ class GoalHealth(Diagnostics):
             "goals cancelled": self._counts["cancelled"],
             **{f"goals ended by {end}": self._counts[end] for end in ends},
             "last goal": self._last_result or "none",
-            "refused messages": self.misread,
-            "times stood still": self.stood_still,
         }
 
 
@@ -178,20 +171,13 @@ class JointTrajectoryController(executor.ClosingNode):
         self._follower = GoalFollower(self._group.settings())
         joints = self._group.joints
         self._health = GoalHealth(self, joints)
-        self._trajectories = GroupTrajectoryPublisher(
-            self,
-            joints,
-            lambda: self._follower.is_active,
-            lambda others: self._act(self._follower.yield_joints(others)),
-        )
-        self._inputs = FollowerInputs(
+        self._topics = GroupTopics(
             self,
             self._follower,
             self._group.state_topics,
             {joint: f"{controller_name(joint)}/reference" for joint in joints},
             self._act,
-            self._health.misread_message,
-            self._stood_still,
+            self._health.fault,
         )
         self._server = GoalServer(
             self, self._begin, lambda: self._act(self._follower.cancel()), self._health.note
@@ -206,7 +192,7 @@ class JointTrajectoryController(executor.ClosingNode):
         StatusPipe(self).send("listening")
 
     def _begin(self, request: GoalRequest) -> None:
-        if not self._trajectories.subscribers():
+        if not self._topics.subscribers():
             raise GoalError(_UNHEARD)
         self._act(self._follower.begin(request))
 
@@ -215,18 +201,14 @@ class JointTrajectoryController(executor.ClosingNode):
         if outcome is None:
             return
         if outcome.trajectory is not None:
-            self._trajectories.publish(outcome.trajectory)
+            self._topics.publish(outcome.trajectory)
         if outcome.result is not None:
             self._server.end(outcome.result)
-
-    def _stood_still(self, stood: float) -> None:
-        self._health.stood_still += 1
-        self._health.fault(f"this process stood still for {stood:.3g} s")
 
     def _against(self) -> str:
         """Return why no goal can be followed now; empty if one can be."""
         against = self._follower.reason_against()
-        return against or ("" if self._trajectories.subscribers() else _UNHEARD)
+        return against or ("" if self._topics.subscribers() else _UNHEARD)
 
     def _log_when_ready(self) -> None:
         """Log once that goals can be followed, with the joints."""
@@ -246,14 +228,14 @@ class JointTrajectoryController(executor.ClosingNode):
 
     def _report(self) -> None:
         warnings = []
-        if rivals := self._trajectories.rivals():
+        if rivals := self._topics.rivals():
             warnings.append(f"{', '.join(sorted(rivals))} may send trajectories, too")
         silent = [
             joint
-            for joint, has in zip(self._group.joints, self._inputs.has_reference, strict=True)
+            for joint, has in zip(self._group.joints, self._topics.has_reference, strict=True)
             if not has
         ]
-        if silent and self._trajectories.subscribers():
+        if silent and self._topics.subscribers():
             names = ", ".join(f"{controller_name(joint)}/reference" for joint in silent)
             warnings.append(f"nothing has come on {names}: whether they follow is not seen")
         against, feedback = self._against(), self._follower.feedback()
@@ -265,6 +247,8 @@ class JointTrajectoryController(executor.ClosingNode):
             "; ".join([course, *warnings]),
             {
                 **self._health.readings(),
+                "refused messages": self._topics.misread,
+                "times stood still": self._topics.stood_still,
                 "states that were not finite": self._follower.unusable,
                 "goals rejected in a flood": self._server.rejected,
                 "last fault": self._health.last_fault,
@@ -283,7 +267,7 @@ class JointTrajectoryController(executor.ClosingNode):
     def close(self) -> None:
         """Wait until the last trajectory has been acknowledged."""
         self._server.close()
-        self._trajectories.wait_until_acknowledged()
+        self._topics.wait_until_acknowledged()
 
 
 USAGE = Usage(

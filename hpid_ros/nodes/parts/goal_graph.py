@@ -23,9 +23,7 @@ from hpid_ros.nodes.core.middleware import (
     subscribe_raw,
 )
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
-from hpid_ros.nodes.parts.goals import (
-    GroupTrajectory,
-)
+from hpid_ros.nodes.parts.goals import GroupTrajectory
 from hpid_ros.nodes.parts.references import (
     Decoded,
     TrajectorySubscriptions,
@@ -35,10 +33,15 @@ from hpid_ros.nodes.parts.references import (
 
 _LOOKS = 10  # for the states, in each state_timeout
 _STOOD_STILL = 0.25  # [s] without a look; an executor that is merely busy is faster
+_OWN_KEPT = 16  # messages that may be on their way back
+_ACKNOWLEDGED_WITHIN = Duration(seconds=0.5)
 
 
-class FollowerInputs:
-    """Gives a follower the states and references of its joints, and notes their timeouts."""
+class GroupTopics:
+    """Gives a follower the states and references of its joints, and publishes trajectories.
+
+    It notes how long there were no states, and yields joints to trajectories of other nodes.
+    """
 
     def __init__(
         self,
@@ -47,11 +50,16 @@ class FollowerInputs:
         state_topics: Sequence[str],
         references: Mapping[str, str],
         act: Callable[[Outcome | None], None],
-        misread: Callable[[str], None],
-        stood_still: Callable[[float], None],
+        fault: Callable[[str], None],
     ) -> None:
-        self._follower, self._act = follower, act
-        self._misread, self._note_standstill = misread, stood_still
+        self._node, self._follower, self._act, self._fault = node, follower, act, fault
+        self.misread = self.stood_still = 0
+        self._own: deque[bytes] = deque(maxlen=_OWN_KEPT)
+        self._sent = 0
+        self._publisher = node.create_publisher(
+            JointTrajectory, "joint_trajectory", LATCHED, qos_overriding_options=overridable()
+        )
+        TrajectorySubscriptions(node, self._on_trajectory)
         self._reader = GroupReader(tuple(references))
         for topic in state_topics:
             subscribe_raw(node, topic, self._on_state, NEWEST_STATES)
@@ -63,69 +71,6 @@ class FollowerInputs:
         self._looked_at = time.monotonic()
         self._look_period = follower.settings.fixed.state_timeout / _LOOKS
         steady_timer(node, self._look_period, self._look_for_states)
-
-    def _on_state(self, raw: bytes) -> None:
-        self._wake()
-        try:
-            stamp_ns, parts = self._reader.read(raw)
-        except MessageError as error:
-            self._misread(f"state refused: {error}")
-            return
-        if parts:
-            self._act(self._follower.take_state(stamp_ns, parts))
-
-    def _on_reference(self, joint: int, reader: JointReader, raw: bytes) -> None:
-        self._wake()
-        try:
-            sample = reader.read(raw)
-        except MessageError as error:
-            self._misread(f"reference refused: {error}")
-            return
-        if sample is not None:
-            self.has_reference[joint] = True
-            self._act(self._follower.take_reference(joint, sample.stamp_ns, sample.position))
-
-    def _wake(self) -> None:
-        """Notice that the process has stood still: what is waiting for it is old."""
-        now = time.monotonic()
-        stood, self._looked_at = now - self._looked_at, now
-        if stood > self._look_period + _STOOD_STILL:
-            self._follower.allow_late(stood)
-            self._note_standstill(stood)
-
-    def _look_for_states(self) -> None:
-        """Count for how long there has been no new state, while this process has run."""
-        self._wake()
-        if self._follower.now_ns != self._seen_ns:
-            self._seen_ns, self._silence = self._follower.now_ns, 0.0
-            return
-        self._silence += self._look_period
-        if self._silence > self._follower.settings.fixed.state_timeout:
-            self._act(self._follower.note_timeout(self._silence))
-
-
-_OWN_KEPT = 16  # messages that may be on their way back
-_ACKNOWLEDGED_WITHIN = Duration(seconds=0.5)
-
-
-class GroupTrajectoryPublisher:
-    """Publishes trajectories to controllers, and subscribes to those of other nodes."""
-
-    def __init__(
-        self,
-        node: ClosingNode,
-        joints: Sequence[str],
-        is_listening: Callable[[], bool],
-        yield_joints: Callable[[Sequence[str]], None],
-    ) -> None:
-        self._node, self._joints = node, joints
-        self._is_listening, self._yield_joints = is_listening, yield_joints
-        self._own: deque[bytes] = deque(maxlen=_OWN_KEPT)
-        self._sent = 0
-        self._publisher = node.create_publisher(
-            JointTrajectory, "joint_trajectory", LATCHED, qos_overriding_options=overridable()
-        )
-        TrajectorySubscriptions(node, self._on_trajectory)
 
     def publish(self, trajectory: GroupTrajectory) -> None:
         raw = encode_trajectory(
@@ -159,15 +104,14 @@ class GroupTrajectoryPublisher:
         return names - {self._node.get_fully_qualified_name()}
 
     def _on_trajectory(self, raw: bytes) -> None:
-        if raw in self._own or not self._is_listening():
-            return
-        reference_decoder().decode(self, raw, partial(self._decoded, self._sent))
+        if raw not in self._own and self._follower.is_active:
+            reference_decoder().decode(self, raw, partial(self._decoded, self._sent))
 
     def _decoded(self, sent: int, decoded: Decoded) -> None:
         """Find out, on the decoder's thread, whose joints follow this."""
         if isinstance(decoded, Exception):
             return  # no controller follows what cannot be read
-        named = [joint for joint in self._joints if joint in decoded.names]
+        named = [joint for joint in self._follower.settings.joints if joint in decoded.names]
         try:
             is_followed = bool(named) and column_of(decoded, named[0]) is not None
         except HpidError:
@@ -177,4 +121,48 @@ class GroupTrajectoryPublisher:
 
     def _yield(self, sent: int, named: Sequence[str]) -> None:
         if sent == self._sent:  # else controllers have been sent something newer since
-            self._yield_joints(named)
+            self._act(self._follower.yield_joints(named))
+
+    def _on_state(self, raw: bytes) -> None:
+        self._wake()
+        try:
+            stamp_ns, parts = self._reader.read(raw)
+        except MessageError as error:
+            self._refuse(f"state refused: {error}")
+            return
+        if parts:
+            self._act(self._follower.take_state(stamp_ns, parts))
+
+    def _on_reference(self, joint: int, reader: JointReader, raw: bytes) -> None:
+        self._wake()
+        try:
+            sample = reader.read(raw)
+        except MessageError as error:
+            self._refuse(f"reference refused: {error}")
+            return
+        if sample is not None:
+            self.has_reference[joint] = True
+            self._act(self._follower.take_reference(joint, sample.stamp_ns, sample.position))
+
+    def _refuse(self, line: str) -> None:
+        self.misread += 1
+        self._fault(line)
+
+    def _wake(self) -> None:
+        """Notice that the process has stood still: what is waiting for it is old."""
+        now = time.monotonic()
+        stood, self._looked_at = now - self._looked_at, now
+        if stood > self._look_period + _STOOD_STILL:
+            self._follower.allow_late(stood)
+            self.stood_still += 1
+            self._fault(f"this process stood still for {stood:.3g} s")
+
+    def _look_for_states(self) -> None:
+        """Count for how long there has been no new state, while this process has run."""
+        self._wake()
+        if self._follower.now_ns != self._seen_ns:
+            self._seen_ns, self._silence = self._follower.now_ns, 0.0
+            return
+        self._silence += self._look_period
+        if self._silence > self._follower.settings.fixed.state_timeout:
+            self._act(self._follower.note_timeout(self._silence))

@@ -13,29 +13,27 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
-from hpid_ros.messages.joint_trajectory import MOST_POINTS
-from hpid_ros.motion.joint_trajectory import Point, PointArrays
+from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import steady_timer
 from hpid_ros.nodes.core.services import Answers
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, Feedback
-from hpid_ros.nodes.parts.goals import AskedTolerance, GoalError, GoalRequest, Result, ResultCode
+from hpid_ros.nodes.parts.goals import GoalError, GoalRequest, Result, ResultCode
 
 Sent = Callable[[Callable[[], None]], AbstractContextManager[None]]
 
@@ -112,51 +110,12 @@ def request_of(goal: Any) -> GoalRequest:
     """Read a goal; this takes a while where it has many points."""
     if goal.multi_dof_trajectory.points or goal.multi_dof_trajectory.joint_names:
         raise GoalError("multi_dof_trajectory cannot be followed, only trajectory")
-    trajectory = goal.trajectory
-    names, points = tuple(trajectory.joint_names), trajectory.points
-    if len(points) > MOST_POINTS:
-        raise GoalError(f"a goal may have {MOST_POINTS - 1} points, not {len(points)}")
-    times_ns = np.array([_nanoseconds(each.time_from_start) for each in points], np.int64)
-    columns = [[getattr(each, field) for each in points] for field in _ARRAYS]
-    lengths = np.array([[len(each) for each in rows] for rows in columns], np.int64).T
-    arrays = PointArrays(*(_values(rows, len(names)) for rows in columns))
-    request = GoalRequest(
-        names,
-        _nanoseconds(trajectory.header.stamp),
-        times_ns,
-        arrays,
-        _tolerances(goal.path_tolerance),
-        _tolerances(goal.goal_tolerance),
-        _nanoseconds(goal.goal_time_tolerance) * SECONDS_PER_NANOSECOND,
-    )
-
-    def point(index: int) -> Point:
-        p, v, a, e = (tuple(rows[index]) for rows in columns)
-        return int(times_ns[index]), p, v, a, e
-
-    request.require_trajectory(lengths, point)
-    return request
-
-
-def _nanoseconds(time: Any) -> int:
-    return int(time.sec) * NANOSECONDS + int(time.nanosec)
-
-
-def _values(rows: Sequence[Sequence[float]], joints: int) -> Numbers:
-    """Return the numbers of each point; NaN where it has not one for each joint."""
-    if rows and all(len(row) == joints for row in rows):
-        return np.array(rows, np.float64).reshape(len(rows), joints)
-    values = np.full((len(rows), joints), np.nan)
-    for index, row in enumerate(rows):
-        if len(row) == joints:
-            values[index] = row
-    return values
-
-
-def _tolerances(messages: Iterable[Any]) -> tuple[AskedTolerance, ...]:
-    return tuple(
-        AskedTolerance(each.name, each.position, each.velocity, each.acceleration)
-        for each in messages
+    duration = goal.goal_time_tolerance
+    return GoalRequest.of(
+        serialize_message(goal.trajectory),
+        tuple(goal.path_tolerance),
+        tuple(goal.goal_tolerance),
+        (duration.sec * NANOSECONDS + duration.nanosec) * SECONDS_PER_NANOSECOND,
     )
 
 

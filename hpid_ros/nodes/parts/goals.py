@@ -10,14 +10,14 @@ A tolerance of zero is not enforced. Source: ``ros2_controllers``,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import SettingError, TrajectoryError, unknown_name
+from hpid_ros.base.errors import HpidError, SettingError, TrajectoryError, unknown_name
 from hpid_ros.base.records import (
     ParameterSpec,
     Record,
@@ -28,12 +28,15 @@ from hpid_ros.base.records import (
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.settings import StateClock, Value
-from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
+from hpid_ros.messages.joint_trajectory import (
+    MOST_MIXED_POINTS,
+    MOST_POINTS,
+    decode_trajectory,
+)
 from hpid_ros.motion.joint_trajectory import (
     Column,
     Integers,
     Knot,
-    Point,
     PointArrays,
     checked_column,
     require_arrays,
@@ -94,15 +97,6 @@ class Tolerance(NamedTuple):
         return ""
 
 
-class AskedTolerance(NamedTuple):
-    """What a goal asks of one joint: 0 is the default, -1 none."""
-
-    joint: str  # name of the joint
-    position: float = 0.0  # [rad] or [m]
-    velocity: float = 0.0  # [rad/s] or [m/s]
-    acceleration: float = 0.0  # [rad/s^2] or [m/s^2]
-
-
 @dataclass(frozen=True)
 class Tolerances:
     """All tolerances of a goal."""
@@ -111,10 +105,8 @@ class Tolerances:
     goal: Mapping[str, Tolerance]  # after its last point, by joint
     goal_time: float = 0.0  # [s] how much later than that they must be met; 0 waits for ever
 
-    def asked(
-        self, path: Iterable[AskedTolerance], goal: Iterable[AskedTolerance], goal_time: float
-    ) -> Tolerances:
-        """Return these with what a goal asks for instead."""
+    def asked(self, path: Iterable[Any], goal: Iterable[Any], goal_time: float) -> Tolerances:
+        """Return these with what a goal asks for instead, in ``JointTolerance`` messages."""
         return replace(
             self,
             path=_laid_over(self.path, path, "path_tolerance"),
@@ -124,17 +116,17 @@ class Tolerances:
 
 
 def _laid_over(
-    defaults: Mapping[str, Tolerance], asked: Iterable[AskedTolerance], name: str
+    defaults: Mapping[str, Tolerance], asked: Iterable[Any], name: str
 ) -> Mapping[str, Tolerance]:
     merged = dict(defaults)
     for each in asked:
-        if each.joint not in defaults:
-            line = f"{name}: {unknown_name('joint', each.joint, defaults)}"
+        if each.name not in defaults:
+            line = f"{name}: {unknown_name('joint', each.name, defaults)}"
             raise GoalError(line, ResultCode.INVALID_JOINTS)
-        where = f"{name} of {each.joint}"
-        default = merged[each.joint]
+        where = f"{name} of {each.name}"
+        default = merged[each.name]
         _resolved(0.0, each.acceleration, f"{where}: acceleration", "rad/s^2 or m/s^2")
-        merged[each.joint] = Tolerance(
+        merged[each.name] = Tolerance(
             _resolved(default.position, each.position, f"{where}: position", "rad or m"),
             _resolved(default.velocity, each.velocity, f"{where}: velocity", "rad/s or m/s"),
         )
@@ -335,26 +327,28 @@ class GoalRequest:
     stamp_ns: int  # [ns] when it starts; 0 means now
     times_ns: Integers  # [ns] time from start of each point, shape (points,)
     arrays: PointArrays  # the numbers of the points, each of shape (points, joints)
-    path_tolerance: tuple[AskedTolerance, ...] = ()  # what it asks for while it lasts
-    goal_tolerance: tuple[AskedTolerance, ...] = ()  # what it asks for at its end
+    path_tolerance: tuple[Any, ...] = ()  # what it asks for while it lasts: JointTolerance
+    goal_tolerance: tuple[Any, ...] = ()  # what it asks for at its end
     goal_time_tolerance: float = 0.0  # [s] 0 is the default, -1 waits for ever
 
-    def require_trajectory(self, lengths: Integers, point: Callable[[int], Point]) -> None:
-        """Refuse what is no trajectory."""
-        if not self.names or len(set(self.names)) != len(self.names):
-            raise GoalError(
-                f"a goal must name each of its joints once, not {list(self.names)}",
-                ResultCode.INVALID_JOINTS,
-            )
-        is_mixed = bool(np.any(lengths != lengths[:1]))
-        most = (MOST_MIXED_POINTS if is_mixed else MOST_POINTS) - 1  # one may be put before them
-        if len(self.times_ns) > most:
-            differing = " whose points differ in their arrays" if is_mixed else ""
-            raise GoalError(f"a goal{differing} may have {most} points, not {len(self.times_ns)}")
+    @classmethod
+    def of(cls, raw: bytes, *tolerances: Any) -> GoalRequest:
+        """Return the request of a ``JointTrajectory`` in CDR."""
         try:
-            require_arrays(self.names, self.stamp_ns, self.times_ns, self.arrays, lengths, point)
-        except TrajectoryError as error:
+            # One point may be put before those of a goal.
+            came = decode_trajectory(raw, MOST_POINTS - 1, MOST_MIXED_POINTS - 1)
+            names, arrays = came.names, PointArrays(*came[3:7])
+            if not names or len(set(names)) != len(names):
+                line = f"a goal must name each of its joints once, not {list(names)}"
+                raise GoalError(line, ResultCode.INVALID_JOINTS)
+            require_arrays(names, came.stamp_ns, came.times_ns, arrays, came.lengths, came.point)
+        except GoalError:
+            raise
+        except HpidError as error:
             raise GoalError(str(error)) from None
+        none = np.full((len(came.times_ns), len(names)), np.nan)
+        arrays = PointArrays(*(each if each.shape[1] else none for each in arrays))
+        return cls(names, came.stamp_ns, came.times_ns, arrays, *tolerances)
 
     def require_group(self, settings: GroupSettings) -> Tolerances:
         """Refuse what is not for these joints, and return the tolerances that hold."""

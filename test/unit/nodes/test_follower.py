@@ -1,11 +1,13 @@
 """The course of goals over loops that get their messages late: reached, ended, stopped."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from harness.groups import MS, SECOND, THERE, TIMES, SimulatedGroup, at_rest, goal, moving, started
 
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.nodes.parts.goals import AskedTolerance, GoalError, JointFacts, ResultCode
+from hpid_ros.nodes.parts.goals import GoalError, JointFacts, ResultCode
 
 
 @pytest.mark.parametrize("most_delay", [0, 5, 40])
@@ -192,14 +194,18 @@ def test_a_goal_that_is_refused_leaves_the_one_before_it():
     assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
 
 
+def within(position):
+    return SimpleNamespace(name="elbow", position=position, velocity=0.0, acceleration=0.0)
+
+
 def test_a_tolerance_of_the_goal_replaces_the_default_and_minus_one_removes_it():
     default = {"constraints.elbow.trajectory": 0.05, "constraints.elbow.goal": 0.05}
     for asked, code in (
         ({}, ResultCode.PATH_TOLERANCE_VIOLATED),
-        ({"path_tolerance": (AskedTolerance("elbow", -1.0),)}, None),
+        ({"path_tolerance": (within(-1.0),)}, None),
         (
             {
-                "path_tolerance": (AskedTolerance("elbow", 2.0),),
+                "path_tolerance": (within(2.0),),
                 "goal_time_tolerance": 0.2,
             },
             ResultCode.GOAL_TOLERANCE_VIOLATED,

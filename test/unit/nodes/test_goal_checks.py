@@ -1,16 +1,19 @@
 """Which goals are obeyed: the rules of joint_trajectory_controller, each with its code."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Duration
 from harness.groups import SECOND, goal
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
-from hpid_ros.motion.joint_trajectory import PointArrays
 from hpid_ros.nodes.parts.goals import (
-    AskedTolerance,
     GoalError,
     GoalRequest,
     GroupSettings,
@@ -35,23 +38,25 @@ def code_of(request, **values):
     return refused.value.code, str(refused.value)
 
 
-def checked(names, times, positions, velocities=None, stamp_ns=0):
+def asked(joint, position=0.0, velocity=0.0, acceleration=0.0):
+    """Return what is used of a message JointTolerance."""
+    return SimpleNamespace(
+        name=joint, position=position, velocity=velocity, acceleration=acceleration
+    )
+
+
+def checked(names, times, positions, velocities=None):
     """Return a request from what came, point by point; arrays may have any length."""
-    count = len(names)
-    velocities = [[] for _ in times] if velocities is None else velocities
     points = [
-        (time, tuple(p), tuple(v), (), ())
-        for time, p, v in zip(times, positions, velocities, strict=True)
+        JointTrajectoryPoint(
+            positions=[float(each) for each in p],
+            velocities=[float(each) for each in v],
+            time_from_start=Duration(sec=time // SECOND, nanosec=time % SECOND),
+        )
+        for time, p, v in zip(times, positions, velocities or [[]] * len(times), strict=True)
     ]
-    lengths = np.array([[len(p), len(v), 0, 0] for _, p, v, *_ in points]).reshape(-1, 4)
-    arrays, none = [], [[] for _ in times]
-    for rows in (positions, velocities, none, none):
-        whole = [row if len(row) == count else [np.nan] * count for row in rows]
-        arrays.append(np.array(whole, dtype=float).reshape(len(times), count))
-    times_ns = np.array(times, dtype=np.int64)
-    request = GoalRequest(tuple(names), stamp_ns, times_ns, PointArrays(*arrays))
-    request.require_trajectory(lengths, lambda index: points[index])
-    return request
+    message = JointTrajectory(joint_names=names, points=points)
+    return GoalRequest.of(serialize_message(message))
 
 
 @pytest.mark.parametrize(
@@ -81,8 +86,8 @@ def test_what_is_no_trajectory_is_refused(names, times, positions, velocities, c
 @pytest.mark.parametrize(
     ("count", "is_mixed", "line"),
     [
-        (MOST_POINTS, False, "a goal may have 49999 points, not 50000"),
-        (MOST_MIXED_POINTS, True, "whose points differ in their arrays may have 4999 points"),
+        (MOST_POINTS, False, "may have 49999 points, not 50000"),
+        (MOST_MIXED_POINTS, True, "points differ in their arrays may have 4999 points"),
     ],
 )
 def test_a_goal_has_no_more_points_than_controllers_take(count, is_mixed, line):
@@ -92,11 +97,6 @@ def test_a_goal_has_no_more_points_than_controllers_take(count, is_mixed, line):
     with pytest.raises(GoalError, match=line):
         checked(["a"], times, positions, velocities)
     checked(["a"], times[1:], positions[1:], [velocities[0], *velocities[2:]])
-
-
-def test_points_may_differ_in_what_they_give():
-    request = checked(["a"], [1, 2, 3], [[1], [2], [3]], [[0.5], [], [0.0]])
-    assert np.isnan(request.arrays[1][:, 0]).tolist() == [False, True, False]
 
 
 def test_joints_must_be_the_groups_and_all_of_them_unless_some_will_do():
@@ -125,9 +125,9 @@ def test_a_goal_ends_at_rest_unless_it_may_end_in_motion():
 
 
 @pytest.mark.parametrize(
-    ("asked", "kept"), [(0.0, 0.2), (-1.0, 0.0), (0.5, 0.5), (-0.99999994, 0.0)]
+    ("value", "kept"), [(0.0, 0.2), (-1.0, 0.0), (0.5, 0.5), (-0.99999994, 0.0)]
 )
-def test_a_tolerance_of_zero_is_the_default_and_minus_one_is_none(asked, kept):
+def test_a_tolerance_of_zero_is_the_default_and_minus_one_is_none(value, kept):
     default = settings(
         **{
             "constraints.elbow.trajectory": 0.2,
@@ -139,9 +139,9 @@ def test_a_tolerance_of_zero_is_the_default_and_minus_one_is_none(asked, kept):
     found = goal(
         WHOLE,
         [0.0, 1.0],
-        path_tolerance=(AskedTolerance("elbow", asked, asked),),
-        goal_tolerance=(AskedTolerance("elbow", asked, asked),),
-        goal_time_tolerance=asked,
+        path_tolerance=(asked("elbow", value, value),),
+        goal_tolerance=(asked("elbow", value, value),),
+        goal_time_tolerance=value,
     ).require_group(default)
     assert found.path["elbow"].position == kept
     assert found.goal["elbow"] == (kept, kept)
@@ -153,14 +153,13 @@ def test_a_tolerance_of_zero_is_the_default_and_minus_one_is_none(asked, kept):
 @pytest.mark.parametrize("bad", [-0.5, -2.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("field", ["position", "velocity", "acceleration"])
 def test_a_tolerance_that_is_none_is_refused(bad, field):
-    asked = AskedTolerance("elbow")._replace(**{field: bad})
     for where in ("path_tolerance", "goal_tolerance"):
-        code, line = code_of(goal(WHOLE, [0.0, 1.0], **{where: (asked,)}))
+        code, line = code_of(goal(WHOLE, [0.0, 1.0], **{where: (asked("elbow", **{field: bad}),)}))
         assert code is ResultCode.INVALID_GOAL
         assert f"{where} of elbow: {field} must be positive, 0 for the default or -1" in line
     code, _ = code_of(goal(WHOLE, [0.0, 1.0], goal_time_tolerance=bad))
     assert code is ResultCode.INVALID_GOAL
-    unknown = (AskedTolerance("knee", 0.1),)
+    unknown = (asked("knee", 0.1),)
     code, line = code_of(goal(WHOLE, [0.0, 1.0], path_tolerance=unknown))
     assert code is ResultCode.INVALID_JOINTS
     assert "path_tolerance: unknown joint 'knee'" in line
