@@ -21,9 +21,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from hpid_ros.messages.mcap_file import Arena, Catalogue, RecordStream
+from hpid_ros.messages.batches import zstd_library
 from hpid_ros.messages.run import read_run
 
 MIB = 1 << 20
@@ -31,15 +32,17 @@ MIB = 1 << 20
 
 def read_bytes(bag: Path) -> int:
     """Read and decompress everything, without looking at it; return the number of bytes."""
-    count = 0
+    count, unpack = 0, zstd_library().decompress
     for path in sorted(bag.iterdir()):
         if path.suffix == ".mcap":
             with path.open("rb") as stream:
-                arena = Arena()
-                records = RecordStream(stream, path.stat().st_size, Catalogue())
-                for _ in records.fill(arena, lambda position: True, print):
-                    count += sum(chunk.end - chunk.begin for chunk in arena.chunks)
-                    arena.clear()
+                summary = make_reader(stream).get_summary()
+                for chunk in summary.chunk_indexes if summary else ():
+                    stream.seek(
+                        chunk.chunk_start_offset + chunk.chunk_length - chunk.compressed_size
+                    )
+                    raw = stream.read(chunk.compressed_size)
+                    count += len(unpack(raw) if chunk.compression else raw)
         elif path.suffix == ".db3":
             with path.open("rb", buffering=0) as stream:
                 while block := stream.read(MIB):
