@@ -151,8 +151,11 @@ class Cluster:
     def __init__(self, address: str) -> None:
         self._address = address
         self._client = _connect(address)
-        try:
-            self._require_equals()
+        try:  # those that come later are looked at as they work
+            for worker, found in self._client.run(traits, ()).items():
+                unlike = differences(traits(()), found)
+                if unlike:
+                    raise RunError(f"the worker at {worker} cannot take part: it has {unlike}")
         except BaseException:
             self.close()
             raise
@@ -215,13 +218,6 @@ class Cluster:
                 f"the scheduler at {self._address} is lost, and {left + 1} runs with it; "
                 "--resume carries a study on"
             ) from None
-
-    def _require_equals(self) -> None:
-        """Look at the workers that are there; those that come later are looked at as they work."""
-        for address, found in self._client.run(traits, ()).items():
-            unlike = differences(traits(()), found)
-            if unlike:
-                raise RunError(f"the worker at {address} cannot take part: it has {unlike}")
 
     def close(self) -> None:
         """Let go of the scheduler; runs that workers have begun end by themselves."""

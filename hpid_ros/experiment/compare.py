@@ -76,17 +76,9 @@ _PATH_POINTS = 4000
 _log = logging.getLogger(__name__)
 
 
-def base_results(
-    experiment: Experiment, bags: Mapping[str, Path], runs: Sequence[RunSeries]
-) -> dict[str, BaseFigures]:
-    """Compute the figures of the base of each run; none for a robot without a base."""
-    base = experiment.world.base
-    if base is None:
-        return {}
-    return {run.label: _base(experiment.world, base, bags[run.label], run) for run in runs}
-
-
-def _base(world: WorldSettings, base: DifferentialDrive, bag: Path, run: RunSeries) -> BaseFigures:
+def _base_figures(
+    world: WorldSettings, base: DifferentialDrive, bag: Path, run: RunSeries
+) -> BaseFigures:
     odometry, truth = read_planar(bag, ODOM), read_planar(bag, TRUTH)
     # Each state's messages come together; of a bag that was cut off one may lack its last.
     stamps_ns, at_odometry, at_truth = np.intersect1d(
@@ -97,12 +89,12 @@ def _base(world: WorldSettings, base: DifferentialDrive, bag: Path, run: RunSeri
     return base_figures(
         odometry.poses[at_odometry],
         truth.poses[at_truth],
-        reference_poses(world, base, run, stamps_ns),
+        _reference_poses(world, base, run, stamps_ns),
         (left, right, lateral),
     )
 
 
-def reference_poses(
+def _reference_poses(
     world: WorldSettings, base: DifferentialDrive, run: RunSeries, stamps_ns: NDArray[np.int64]
 ) -> Numbers | None:
     """Return where the base would be if its wheels followed their references and did not slip."""
@@ -254,17 +246,18 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
         for line in run.quality.lines if run.quality is not None else ():
             _log.warning("%s", shown(f"run {run.label!r}: {line}"))
     comparison = Comparison(tuple(each.run for each in measured))
-    base = base_results(experiment, bags, runs)
-    frame = _frame(experiment)
-    end_effectors, bricks, paths = {}, {}, []
+    world, frame = experiment.world, _frame(experiment)
+    base, end_effectors, bricks, paths = {}, {}, {}, []
     for run in runs:
         bag = bags[run.label]
+        if world.base is not None:
+            base[run.label] = _base_figures(world, world.base, bag, run)
         if frame is not None:
             end_effector = EndEffector(frame, run)
             truth = read_poses(bag, END_EFFECTOR, POSE)
             end_effectors[run.label] = end_effector.figures(truth)
             paths.append(end_effector.path(_PATH_POINTS))
-        if experiment.world.workplace.bricks:
+        if world.workplace.bricks:
             bricks[run.label] = brick_figures(experiment, bag)
     return Result(experiment, runs, comparison, base, end_effectors, bricks, tuple(paths))
 
@@ -345,13 +338,6 @@ def _gain_signals(result: Result) -> dict[str, dict[str, GainSignals]]:
     return found
 
 
-@dataclass(frozen=True)
-class SingleRun:
-    report: RunReport  # how it went
-    result: Result | None  # the numbers; None when nothing was recorded
-    folder: ResultFolder  # where everything lies
-
-
 def run_controller(
     experiment: Experiment,
     label: str,
@@ -361,11 +347,13 @@ def run_controller(
     *,
     force: bool = False,
     is_tried: bool = False,
-) -> SingleRun:
+) -> tuple[RunReport, Result | None]:
+    """Run one controller on the graph; what is not recorded has no result."""
     if label not in experiment.controllers:
         raise ExperimentError(unknown_name("controller", label, experiment.controllers))
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
-        _tell_engine(experiment, progress)
+        if experiment.engine_note:
+            progress.note(experiment.engine_note)
         if options.is_realtime and is_tried:
             progress.phase(label, "trying what the machine can hold")
             progress.note(run_trial(experiment, label, options))
@@ -376,15 +364,10 @@ def run_controller(
         how = f"ROS 2 graph, {report.processes} processes"
         if not options.is_recorded:
             save_timing(folder, [report], how)
-            return SingleRun(report, None, folder)
+            return report, None
         result = compute(experiment, {label: bag})
         save_numbers(result, folder, [report], how)
-        return SingleRun(report, result, folder)
-
-
-def _tell_engine(experiment: Experiment, progress: Progress) -> None:
-    if experiment.engine_note:
-        progress.note(experiment.engine_note)
+        return report, result
 
 
 @dataclass(frozen=True)
@@ -417,7 +400,8 @@ def compare(
         HpidError: The folder is in the way, a run failed, or a bag cannot be read.
     """
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
-        _tell_engine(experiment, progress)
+        if experiment.engine_note:
+            progress.note(experiment.engine_note)
         result, reports = _compare(experiment, folder, progress, in_process, has_figures)
     return Compared(result, tuple(reports), folder)
 

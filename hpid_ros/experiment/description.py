@@ -44,13 +44,6 @@ def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
     return with_inertia(replace(settings, model=model), str(world.robot_description))
 
 
-def models_of(controllers: Mapping[str, Sequence[LoopSettings]]) -> list[str]:
-    """Return the URDF texts of models that are not the experiment's own robot."""
-    loops = [each for settings in controllers.values() for each in settings]
-    sources = {each.model.description for each in loops if each.model.is_on}
-    return [robot_xml(source) for source in sorted(sources - {""})]
-
-
 def _rolling(model: ModelSettings, world: WorldSettings) -> ModelSettings:
     base = world.base
     if base is None or not {base.left, base.right} <= set(world.joints):
@@ -219,6 +212,11 @@ class Experiment:
     is_engine_chosen: bool = True
 
     @property
+    def baseline(self) -> str:
+        """Label of the first controller, which the others are measured against."""
+        return next(iter(self.controllers))
+
+    @property
     def engine_note(self) -> str:
         """Who computes the physics, in a line, where nobody chose and it is not the usual one."""
         engine = self.world.engine
@@ -289,8 +287,10 @@ class Experiment:
         """
         digest = hashlib.sha256(self.text.encode())
         digest.update(self.description.xml.encode())
-        for model in models_of(self.controllers):
-            digest.update(model.encode())
+        loops = [each for settings in self.controllers.values() for each in settings]
+        models = {each.model.description for each in loops if each.model.is_on}
+        for source in sorted(models - {""}):
+            digest.update(robot_xml(source).encode())
         if self.world.engine != "pybullet":
             digest.update(self.world.engine.encode())
         return digest.hexdigest()

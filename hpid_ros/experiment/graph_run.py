@@ -340,7 +340,9 @@ class _GraphRun:
             for event in node.read_events():
                 self._on_event(name, event)
             has_started = (self._nodes.bridge, "started") in self.events
-            if name not in self._nodes.vital and has_started and self._others_run(name):
+            others = self._group.nodes.keys() - self._nodes.vital - {name}
+            others_run = any(self._group.nodes[e].process.poll() is None for e in others)
+            if name not in self._nodes.vital and has_started and others_run:
                 self._excused.add(name)
                 self.warnings.append(f"{name} ended with code {code}; the other joints go on")
                 continue
@@ -348,13 +350,6 @@ class _GraphRun:
                 f"{self._label}: {name} ended with code {code}: {node.last_words()} "
                 f"(log: {node.log})"
             )
-
-    def _others_run(self, name: str) -> bool:
-        return any(
-            node.process.poll() is None
-            for other, node in self._group.nodes.items()
-            if other != name and other not in self._nodes.vital
-        )
 
 
 LONGEST = 1.0  # [s] of simulated time

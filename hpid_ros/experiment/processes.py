@@ -25,7 +25,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -121,13 +121,13 @@ _SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
 
 
 def closed_environment(domain: int) -> dict[str, str]:
-    environment = {name: value for name, value in os.environ.items() if name not in _OPENING}
-    environment.update(CLOSED_MODE)
-    environment["ROS_DOMAIN_ID"] = str(domain)
-    profile = str(find_resource("config/fastdds.xml"))
-    environment |= dict.fromkeys(PROFILE_FILES, profile)
-    environment["PYTHONUNBUFFERED"] = "1"
-    return environment
+    return {
+        **{name: value for name, value in os.environ.items() if name not in _OPENING},
+        **CLOSED_MODE,
+        "ROS_DOMAIN_ID": str(domain),
+        **dict.fromkeys(PROFILE_FILES, str(find_resource("config/fastdds.xml"))),
+        "PYTHONUNBUFFERED": "1",
+    }
 
 
 @contextmanager
@@ -140,8 +140,12 @@ def own_domain() -> Iterator[int]:
     folder = Path(tempfile.gettempdir()) / f"hpid_ros_domains_{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     clear_dead()
-    free = set(_DOMAINS) - _domains_in_use()
-    for domain in sorted(free, key=lambda each: _last_use(folder / str(each))):
+
+    def last_use(domain: int) -> float:
+        lock = folder / str(domain)
+        return lock.stat().st_mtime if lock.exists() else 0.0
+
+    for domain in sorted(set(_DOMAINS) - _domains_in_use(), key=last_use):
         lock = os.open(folder / str(domain), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -170,10 +174,6 @@ def _domains_in_use() -> set[int]:
     return {(port - _FIRST_PORT) // _PORTS_OF_A_DOMAIN for port in ports}
 
 
-def _last_use(lock: Path) -> float:
-    return lock.stat().st_mtime if lock.exists() else 0.0
-
-
 def require_no_sockets(pids: Iterable[int]) -> None:
     """Make sure that no process has a network socket."""
     for pid in pids:
@@ -190,7 +190,12 @@ def require_no_sockets(pids: Iterable[int]) -> None:
 
 def network_sockets(pid: int) -> set[str]:
     """Return the kinds of network socket that a process holds, for instance ``udp``."""
-    inodes = _socket_inodes(Path(f"/proc/{pid}/fd"))
+    inodes = set()
+    for entry in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed since the folder was listed
+            target = str(entry.readlink())
+            if target.startswith("socket:["):
+                inodes.add(target[len("socket:[") : -1])
     kinds = set()
     for kind in _SOCKET_TABLES:
         table = Path(f"/proc/{pid}/net/{kind}")
@@ -200,18 +205,6 @@ def network_sockets(pid: int) -> set[str]:
             if line.split()[9] in inodes:
                 kinds.add(kind)
     return kinds
-
-
-def _socket_inodes(folder: Path) -> set[str]:
-    inodes = set()
-    for entry in folder.iterdir():
-        try:
-            target = str(entry.readlink())
-        except FileNotFoundError:  # closed since the folder was listed
-            continue
-        if target.startswith("socket:["):
-            inodes.add(target[len("socket:[") : -1])
-    return inodes
 
 
 _PR_SET_PDEATHSIG = 1

@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from statistics import geometric_mean
 from typing import Any, get_args
@@ -45,22 +45,12 @@ class Cost:
     weights: Mapping[str, float]  # of each index by key; those that are left out do not count
 
     def __post_init__(self) -> None:
-        _require_known(self.weights)
-        for key, weight in self.weights.items():
-            if not (math.isfinite(weight) and weight >= 0.0):
-                raise SettingError(
-                    f"the weight of {key} must be finite and not negative, not {weight}"
-                )
-        if not math.fsum(self.weights.values()) > 0.0:
-            raise SettingError("at least one index must have a positive weight")
+        _check(self.weights, "weight", "not negative", lambda weight: weight >= 0.0)
 
     @classmethod
     def even(cls) -> Cost:
         """Return the cost in which all indices of the paper count the same."""
         return cls({quantity.key: 1.0 for quantity in PAPER})
-
-    def as_mapping(self) -> dict[str, object]:
-        return {"weights": dict(self.weights)}
 
     def of(self, ratios: Mapping[str, float]) -> float:
         counted = {key: weight for key, weight in self.weights.items() if weight > 0.0}
@@ -84,27 +74,25 @@ class WorstExcess:
     limits: Mapping[str, float]  # the largest ratio wanted of each index by key
 
     def __post_init__(self) -> None:
-        _require_known(self.limits)
-        for key, limit in self.limits.items():
-            if not (math.isfinite(limit) and limit > 0.0):
-                raise SettingError(f"the limit of {key} must be finite and positive, not {limit}")
-        if not self.limits:
-            raise SettingError("at least one index must have a limit")
+        _check(self.limits, "limit", "positive", lambda limit: limit > 0.0)
 
     def of(self, ratios: Mapping[str, float]) -> float:
         """Return the cost; infinite where an index is not finite."""
         excesses = [ratios[key] / limit for key, limit in self.limits.items()]
         return max(excesses) if all(map(math.isfinite, excesses)) else math.inf
 
-    def as_mapping(self) -> dict[str, object]:
-        return {"limits": dict(self.limits)}
 
-
-def _require_known(names: Mapping[str, float]) -> None:
+def _check(
+    numbers: Mapping[str, float], what: str, wanted: str, is_good: Callable[[float], bool]
+) -> None:
     known = [quantity.key for quantity in PAPER]
-    for key in names:
+    for key, number in numbers.items():
         if key not in known:
             raise SettingError(unknown_name("index", key, known))
+        if not (math.isfinite(number) and is_good(number)):
+            raise SettingError(f"the {what} of {key} must be finite and {wanted}, not {number}")
+    if not any(numbers.values()):
+        raise SettingError(f"at least one index must have a positive {what}")
 
 
 def mean_ratios(
@@ -120,7 +108,9 @@ def mean_ratios(
     return found
 
 
-_DIGITS = 6
+def _rounded(value: float) -> float:
+    """Return six digits: what is printed is what was run."""
+    return float(f"{value:.6g}")
 
 
 @dataclass(frozen=True)
@@ -143,13 +133,10 @@ class FreeParameter:
             )
 
     def value(self, share: float) -> float:
-        """Return the value at a share of the way from the least to the largest.
-
-        Rounded to six digits, so that what is printed is what was run.
-        """
+        """Return the value at a share of the way from the least to the largest."""
         low, high = (self._seen(end) for end in (self.low, self.high))
         seen = low + min(max(share, 0.0), 1.0) * (high - low)
-        return float(f"{math.exp(seen) if self.is_logarithmic else seen:.{_DIGITS}g}")
+        return _rounded(math.exp(seen) if self.is_logarithmic else seen)
 
     def share(self, value: float) -> float:
         """Return the inverse of :meth:`value`, within [0, 1]."""
@@ -194,11 +181,11 @@ EFFORT_PARAMETERS = (
 
 def source_label(experiment: Experiment, law: LawName) -> str:
     """Return the label of the controller whose other settings a search keeps."""
-    baseline, *others = experiment.controllers
-    for label in others if law == "hpid" else ():
-        if any(loop.law == "hpid" for loop in experiment.controllers[label]):
+    for label in experiment.controllers if law == "hpid" else ():
+        loops = experiment.controllers[label]
+        if label != experiment.baseline and any(loop.law == "hpid" for loop in loops):
             return label
-    return baseline
+    return experiment.baseline
 
 
 @dataclass(frozen=True)
@@ -228,50 +215,45 @@ class SearchSpace:
         """
         if law not in get_args(LawName):
             raise SettingError(unknown_name("law", law, get_args(LawName)))
-        baseline = next(iter(experiment.controllers.values()))
+        baseline = experiment.controllers[experiment.baseline]
         source = experiment.controllers[source_label(experiment, law)]
         start = tuple(
             replace(each, law=law, mu=0.0, gains=known.gains)
             for each, known in zip(source, baseline, strict=True)
         )
-        joints = experiment.world.joints
+        apply: Callable[..., LoopSettings]
+        changed: tuple[str, ...]
+        free: tuple[FreeParameter, ...]
         if law == "pid":
-            mean = geometric_mean(each.gains.p for each in start)
             free = PID_PARAMETERS[: len(PID_PARAMETERS) - (len(start) == 1)]
-            gains = ("gains.p", "gains.i", "gains.d")
-            apply: Callable[..., LoopSettings] = partial(_scaled_gains, mean)
-            space = cls(law, free, apply, gains, start, joints)
+            apply = partial(_scaled_gains, geometric_mean(each.gains.p for each in start))
+            changed = ("gains.p", "gains.i", "gains.d")
         else:
             in_effort = all(each.norm.effort_scale for each in start)
             degree, scale, other = EFFORT_PARAMETERS if in_effort else HPID_PARAMETERS
             first = getattr(start[0].norm, other.name)
             if not in_effort or other.low <= first <= other.high:
                 other = replace(other, start=first)
-            changed = ("mu", f"norm.{scale.name}", f"norm.{other.name}")
+            free = (degree, scale, other)
             apply = partial(_homogeneous, scale.name)
-            space = cls(law, (degree, scale, other), apply, changed, start, joints)
-        return space._bounded(bounds or {})
-
-    def _bounded(self, bounds: Mapping[str, tuple[float, float]]) -> SearchSpace:
-        names = [each.name for each in self.parameters]
-        for name in bounds:
-            if name not in names:
-                raise SettingError(unknown_name("free parameter", name, names))
-        limits = [bounds.get(each.name, (each.low, each.high)) for each in self.parameters]
-        parameters = tuple(
-            replace(each, low=low, high=high)
-            for each, (low, high) in zip(self.parameters, limits, strict=True)
-        )
-        return replace(self, parameters=parameters)
+            changed = ("mu", f"norm.{scale.name}", f"norm.{other.name}")
+        parameters = {each.name: each for each in free}
+        for name, (low, high) in (bounds or {}).items():
+            if name not in parameters:
+                raise SettingError(unknown_name("free parameter", name, parameters))
+            parameters[name] = replace(parameters[name], low=low, high=high)
+        joints = experiment.world.joints
+        return cls(law, tuple(parameters.values()), apply, changed, start, joints)
 
     def controller(self, values: Sequence[float]) -> tuple[LoopSettings, ...]:
         found = {each.name: value for each, value in zip(self.parameters, values, strict=True)}
-        loops = []
-        for each in self.start:
-            try:
-                loops.append(self.apply(each, **found) if each.joint in self.joints else each)
-            except HpidError as error:
-                raise type(error)(f"{each.joint}: {error}") from None
+        loops = list(self.start)
+        for place, each in enumerate(self.start):
+            if each.joint in self.joints:
+                try:
+                    loops[place] = self.apply(each, **found)
+                except HpidError as error:
+                    raise type(error)(f"{each.joint}: {error}") from None
         return tuple(loops)
 
     def narrowed(self, joint: str, start: Sequence[LoopSettings]) -> SearchSpace:
@@ -297,21 +279,13 @@ def _scaled_gains(
 ) -> LoopSettings:
     gains = settings.gains
     own = bandwidth * (gains.p / mean) ** distribution
-    scaled = Gains(
-        p=_rounded(gains.p * own**2),
-        i=_rounded(gains.i * own**3 * integral),
-        d=_rounded(gains.d * own * damping),
-    )
-    return replace(settings, gains=scaled)
+    scaled = (gains.p * own**2, gains.i * own**3 * integral, gains.d * own * damping)
+    return replace(settings, gains=Gains(*map(_rounded, scaled)))
 
 
 def _homogeneous(scale: str, settings: LoopSettings, mu: float, **norm: float) -> LoopSettings:
     norm[scale] = _rounded(getattr(settings.norm, scale) * norm[scale])
     return settings.with_parameters({"mu": mu, **{f"norm.{k}": x for k, x in norm.items()}})
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
 
 
 LEAST_EVALUATIONS = 10
@@ -411,8 +385,8 @@ class Search:
     def run(self) -> None:
         """Search; an interrupt leaves what was found."""
         plan = self.plan
-        label, loops = next(iter(plan.experiment.controllers.items()))
-        with closing(self._run(plan.tasks(label, loops))) as batch:
+        label = plan.experiment.baseline
+        with closing(self._run(plan.tasks(label, plan.experiment.controllers[label]))) as batch:
             self.baseline = dict(batch)
         failure = _failure(self.baseline)
         if failure:
@@ -588,7 +562,7 @@ class SearchResult:
             "sha256": experiment.digest,
             "engine": experiment.world.engine,
             "versions": versions(),
-            "baseline": next(iter(experiment.controllers)),
+            "baseline": experiment.baseline,
             "label": self.label,
             "law": plan.space.law,
             "joints": list(plan.joints),
@@ -597,12 +571,11 @@ class SearchResult:
             "per_joint": plan.per_joint,
             "must_be_certified": plan.must_be_certified,
             "settle": plan.settle if math.isfinite(plan.settle) else None,
-            **plan.cost.as_mapping(),
+            **asdict(plan.cost),
             "bounds": {each.name: [each.low, each.high] for each in plan.space.parameters},
             "evaluations": {"planned": plan.total, "made": len(self._search.evaluations)},
-            "best": None
-            if best is None
-            else {
+            "best": best
+            and {
                 "point": best.number,
                 "stage": best.stage,
                 "values": dict(best.values),
@@ -626,7 +599,7 @@ class SearchResult:
         ]
         if best is None:
             return lines[0] + "\nno point has a cost\n"
-        baseline = next(iter(plan.experiment.controllers))
+        baseline = plan.experiment.baseline
         values = ", ".join(f"{name} {value:g}" for name, value in best.values.items())
         of = "" if best.stage == "all" else f" of {best.stage}"
         lines += [
@@ -648,5 +621,6 @@ class SearchResult:
             best = self._search.best
             place = None if best is None else run.index(best)
             points = SearchPoints(self.label, [each.ratios for each in run], place)
-            baseline = next(iter(self._plan.experiment.controllers))
-            front_figure([points], baseline).savefig(folder.file("trade_off.png"))
+            front_figure([points], self._plan.experiment.baseline).savefig(
+                folder.file("trade_off.png")
+            )

@@ -70,7 +70,7 @@ class StudyEntry:
 
     @property
     def baseline(self) -> str:
-        return next(iter(self.experiment.controllers))
+        return self.experiment.baseline
 
     @property
     def others(self) -> tuple[str, ...]:

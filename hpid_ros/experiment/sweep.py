@@ -166,11 +166,16 @@ def _varied(point: Row, experiment: Experiment, joints: Sequence[str]) -> Row:
 
 
 def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
-    label, loops = next(iter(experiment.controllers.items()))
-    world = experiment.world
+    label, world = experiment.baseline, experiment.world
     try:
         changed = _changed_world(world, values)
-        return Row(label, values, None, changed, tuple(_on_robot(loops, world, changed)))
+        return Row(
+            label,
+            values,
+            None,
+            changed,
+            tuple(_on_robot(experiment.controllers[label], world, changed)),
+        )
     except HpidError as error:
         return Row(label, values, None, world, refusal=str(error))
 
@@ -214,11 +219,6 @@ class Sweep:
     joints: tuple[str, ...]  # the joints that are varied, and judged; empty for all
     seeds: tuple[int, ...]  # every row runs once with each
     rows: tuple[Row, ...]  # a baseline for each robot, then the points
-
-    @property
-    def baseline(self) -> str:
-        """Label of the experiment's first controller, as it stands."""
-        return next(iter(self.experiment.controllers))
 
     @property
     def are_slides(self) -> tuple[bool, ...]:
@@ -352,7 +352,7 @@ class SweepResult:
             "duration": experiment.duration,
             "control_period": experiment.world.control_period_ns * 1e-9,
             "versions": versions(),
-            "baseline": sweep.baseline,
+            "baseline": experiment.baseline,
             "controller": sweep.controller,
             "joints": list(sweep.judged),
             "seeds": list(sweep.seeds),
@@ -363,7 +363,7 @@ class SweepResult:
             "parameters": {
                 label: {each.joint: dict(each.to_parameters()) for each in settings}
                 for label, settings in experiment.controllers.items()
-                if label in (sweep.baseline, sweep.controller)
+                if label in (experiment.baseline, sweep.controller)
             },
         }
 
@@ -426,11 +426,11 @@ class SweepTable:
         if any(notes):
             columns.append(TableColumn("note", notes, is_text=True))
         yield WideTable(names, columns, box=SIMPLE)
-        count = len(sweep.seeds)
+        count, baseline = len(sweep.seeds), sweep.experiment.baseline
         joints = ", ".join(sweep.joints) or f"all {len(sweep.experiment.world.joints)} joints"
         lines = [
             f"Medians and quartiles over {count} seed{'s' * (count > 1)}, totals over {joints}.",
-            f"Ratio: run / {sweep.baseline} with the same seed on the same robot; median.",
+            f"Ratio: run / {baseline} with the same seed on the same robot; median.",
             slides_note(sweep.judged, sweep.experiment.slides),
         ]
         yield Text("\n".join(filter(None, lines)), style="dim")

@@ -80,14 +80,14 @@ def run(options: argparse.Namespace) -> int:
     output = output_folder(options, experiment.name)
     console = output_console()
     with RunProgress(console, experiment, [label]) as progress:
-        ran = run_controller(
+        report, result = run_controller(
             *(experiment, label, output, progress, graph),
             force=options.force,
             is_tried=not options.no_trial,
         )
-    if ran.result:
-        console.print(ComparisonTable(ran.result.comparison))
-        print_notes(console, ran.result.notes)
-    print_timing(console, ran.report, experiment.duration)
-    print_result_places(console, {"result": ran.folder.path})
+    if result:
+        console.print(ComparisonTable(result.comparison))
+        print_notes(console, result.notes)
+    print_timing(console, report, experiment.duration)
+    print_result_places(console, {"result": output})
     return DONE
