@@ -10,15 +10,16 @@ from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
 from hpid_ros.base.files import find_resource, write_file
 from hpid_ros.robot.description import GivenRobot
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from hpid_ros.control.controller_files import ParameterFile
     from hpid_ros.control.settings import LoopSettings
     from hpid_ros.experiment.batch import Runner, RunRecord
@@ -32,23 +33,8 @@ DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"
 """What runs if no file is named."""
 
 
-def add_experiment(parser: argparse.ArgumentParser) -> None:
-    """Add the experiment's file, which may be left out, to the parser."""
-    parser.add_argument(
-        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
-    )
-
-
 BOTH = "both"
 """``--engine both``: the same runs in every engine."""
-
-
-def add_engine(parser: argparse.ArgumentParser, *, or_both: bool = False) -> None:
-    """Add ``--engine`` to the parser; ``or_both`` says whether it may be more than one."""
-    names = "pybullet, mujoco, or both to compare them" if or_both else "pybullet or mujoco"
-    parser.add_argument(
-        "--engine", metavar="ENGINE", help=f"who computes the physics, {names} (as the file says)"
-    )
 
 
 def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
@@ -112,35 +98,9 @@ def experiment_to_run(options: argparse.Namespace) -> Experiment:
     return experiment
 
 
-def add_joints(parser: argparse.ArgumentParser, purpose: str) -> None:
-    """Add ``--joint``, which may be repeated, to the parser; ``purpose`` says what for."""
-    parser.add_argument("--joint", action="append", default=[], metavar="NAME", help=purpose)
-
-
-def add_output(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add ``--output`` and ``--force`` to the parser; ``default`` is the folder in words."""
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FOLDER", help=f"folder (results/{default}-TIME)"
-    )
-    parser.add_argument("--force", action="store_true", help="replace an existing result")
-
-
 def output_folder(options: argparse.Namespace, name: str) -> Path:
     """Return the folder that ``--output`` names, or ``results/NAME-TIME``."""
     return options.output or Path("results") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
-
-
-def add_jobs(parser: argparse.ArgumentParser) -> None:
-    """Add ``--jobs`` and ``--scheduler`` to the parser."""
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "-j", "--jobs", type=int, metavar="N", help="processes (one for each processor)"
-    )
-    where.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="of a Dask scheduler whose workers run everything, tcp://HOST:PORT",
-    )
 
 
 @contextmanager
@@ -174,14 +134,6 @@ def result_announced(console: Console, folder: ResultFolder, interrupted: str) -
 @contextmanager
 def progress(console: Console, noun: str, total: int) -> Iterator[Callable[[str], None]]:
     """Show how many are done, their rate and the remaining time; nothing to a file."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
     columns = (
         TextColumn(noun, style="bold"),
         BarColumn(bar_width=24),
@@ -236,39 +188,6 @@ def run_progress(console: Console, runs: int) -> Iterator[Callable[[RunRecord], 
         yield ended
 
 
-def add_topics(group: Any) -> None:
-    """Add ``--namespace``, ``--states``, ``--commands`` and ``--command-topic``."""
-    group.add_argument("--namespace", metavar="NAME", help="which of several robots")
-    group.add_argument(
-        "--states",
-        action="append",
-        metavar="TOPIC",
-        help="of the joint states; once for each topic of one robot",
-    )
-    group.add_argument(
-        "--commands",
-        metavar="TOPIC",
-        help="of the efforts; effort: *_controller/commands are efforts, the topic of the states: "
-        "measured ones, none: none (found by name and type, else the measured ones)",
-    )
-    group.add_argument(
-        "--command-topic",
-        action="append",
-        default=[],
-        metavar="JOINT=TOPIC[INDEX]",
-        help="of one joint's efforts; may be given several times",
-    )
-
-
-def add_time(group: Any) -> None:
-    """Add ``--clock``, ``--start`` and ``--end``."""
-    group.add_argument(
-        "--clock", default="header", metavar="CLOCK", help="header or receive (header)"
-    )
-    group.add_argument("--start", type=float, metavar="S", help="seconds after the first state")
-    group.add_argument("--end", type=float, metavar="S", help="seconds after the first state")
-
-
 def bag_selection(
     options: argparse.Namespace,
     joints: Sequence[str] | None,
@@ -281,7 +200,7 @@ def bag_selection(
     return BagSelection(
         joints=joints,
         namespace=options.namespace,
-        states=options.states,
+        states=options.states or None,
         commands=options.commands,
         command_topics=parse_command_topics(options.command_topic),
         reference=reference,
@@ -333,34 +252,6 @@ def identified_robot(file: Path) -> GivenRobot | None:
             lambda name: RobotDescription.load(find_resource(name, document.folders))
         )
     return GivenRobot(known.xml, known, robot.fixed_base, robot.initial_positions)
-
-
-def add_robot_options(parser: argparse.ArgumentParser) -> None:
-    """Add ``--inertia``, ``--urdf``, ``--payload`` and ``--poses``."""
-    parser.add_argument(
-        "--inertia",
-        action="append",
-        nargs="+",
-        default=[],
-        metavar="M",
-        help="of every joint: M, or LOW HIGH; of one: JOINT=M or JOINT=LOW:HIGH, also where "
-        "--urdf says that of the others; or a file that hpid identify wrote (.yaml)",
-    )
-    parser.add_argument(
-        "--urdf",
-        metavar="FILE",
-        help="compute inertias over the joints' ranges from this robot: a URDF, or an experiment "
-        "file (.yaml) with what it knows better",
-    )
-    parser.add_argument(
-        "--payload", type=float, default=0.0, metavar="KG", help="largest payload, with --urdf"
-    )
-    parser.add_argument(
-        "--poses",
-        type=int,
-        metavar="N",
-        help=f"sampled over the joints' ranges, with --urdf ({_POSES})",
-    )
 
 
 def write_output(path: Path, content: str | bytes) -> None:

@@ -4,71 +4,29 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rich.console import Console
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
-from hpid_ros.cli.commands.excite import add_graph_options, agreed, new_bag
+from hpid_ros.cli.commands.excite import agreed, new_bag
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.control.overrides import RAMP
+from hpid_ros.motion.excitation import JointBounds, PlannedRelay, RelayWish, planned_relay
+from hpid_ros.tuning.autotune import Autotuned, autotuned
+from hpid_ros.tuning.regression import COULOMB, VISCOUS
+from hpid_ros.tuning.upgrade import upgrade_text
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from hpid_ros.live.controllers import Controller, RunningGraph
     from hpid_ros.live.motion import RelayFindings
-    from hpid_ros.motion.excitation import JointBounds, PlannedRelay
-    from hpid_ros.tuning.autotune import Autotuned
-
-
-_GOALS = ("smooth", "fast")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "autotune",
-        description="Have a relay drive one joint of a running robot for some cycles, inside its "
-        "own controller and under all of its limits, record it, and propose SIMC gains and the "
-        "homogeneous PID with them. It asks before the joint moves and before it writes a file, "
-        "and never sets parameters. Ctrl-C, a reference, parameters, a missing state end the "
-        "relay; so does the controller, after 30 s at the latest. Have a hand at the emergency "
-        "stop.",
-    )
-    parser.add_argument(
-        "--live", action="store_true", help="on the robot that runs (there is no other way yet)"
-    )
-    parser.add_argument("--joint", metavar="NAME", help="which (the only one that runs)")
-    relay = parser.add_argument_group("the relay")
-    relay.add_argument(
-        "--effort", type=float, default=0.0, metavar="A", help="its amplitude in N m (--share)"
-    )
-    relay.add_argument(
-        "--share", type=float, default=0.2, help="of what the load leaves of the limits (0.2)"
-    )
-    relay.add_argument(
-        "--amplitude", type=float, default=0.05, metavar="A", help="of the motion in rad (0.05)"
-    )
-    relay.add_argument("--cycles", type=int, default=8, metavar="N", help="(8)")
-    relay.add_argument(
-        "--inertia", type=float, metavar="M", help="about, to choose the relay (by the gains)"
-    )
-    parser.add_argument(
-        "--closed-loop-time", type=float, metavar="S", help="of SIMC (four effective delays)"
-    )
-    parser.add_argument("--goal", choices=_GOALS, default="fast", help="of the upgrade (fast)")
-    add_graph_options(parser)
-    parser.add_argument("--bag", type=Path, metavar="BAG", help="new folder (autotune-TIME)")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="controller file")
-    parser.add_argument("--force", action="store_true", help="replace the file of -o")
-    parser.add_argument("--dry-run", action="store_true", help="show the relay, and do nothing")
-    parser.add_argument("--yes", action="store_true", help="move and write without asking")
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Plan, ask, test, propose, ask, write."""
-    from hpid_ros.cli.terminal import output_console
     from hpid_ros.live.graph_client import running_graph
     from hpid_ros.live.motion import carry_out_relay
 
@@ -123,7 +81,6 @@ def _planned(
     options: argparse.Namespace, controller: Controller
 ) -> tuple[JointBounds, PlannedRelay]:
     from hpid_ros.live.motion import bounds_of
-    from hpid_ros.motion.excitation import RelayWish, planned_relay
 
     settings = controller.settings
     gains = settings.gains
@@ -138,8 +95,6 @@ def _planned(
 
 
 def _duration(planned: PlannedRelay) -> float:
-    from hpid_ros.control.overrides import RAMP
-
     return (planned.request.cycles + 2.0) * planned.period + 2.0 * RAMP
 
 
@@ -167,7 +122,6 @@ def _propose(
     bag: Path,
 ) -> int:
     from hpid_ros.live.motion import relay_findings
-    from hpid_ros.tuning.autotune import autotuned
 
     found = relay_findings(bag, controller, planned)
     tuned = autotuned(
@@ -192,8 +146,6 @@ def _propose(
 
 
 def _findings(found: RelayFindings) -> list[str]:
-    from hpid_ros.tuning.regression import COULOMB, VISCOUS
-
     cycle, low_high = found.cycle, found.inertia
     middle, half = 0.5 * sum(low_high), 0.5 * (low_high[1] - low_high[0])
     lines = [
@@ -230,8 +182,6 @@ def _proposal(controller: Controller, tuned: Autotuned) -> list[str]:
 def _write(
     path: Path, controller: Controller, tuned: Autotuned, found: RelayFindings, bag: Path
 ) -> None:
-    from hpid_ros.tuning.upgrade import upgrade_text
-
     joint = controller.joint
     header = [
         f"Gains of {joint} by a relay test, recorded in {bag.name}.",

@@ -6,34 +6,39 @@ import argparse
 import json
 from collections.abc import Collection, Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
+from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import of_slide, unit_over
+from hpid_ros.cli.arguments import GAIN_OPTIONS
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
-    add_robot_options,
+    joint_progress,
     judged_loops,
     load_robot,
     loop_file,
     shown_name,
     sliding_joints,
 )
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.report.table import TableColumn, WideTable
 from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
     LARGEST_SAMPLING_MARGIN_LATE,
     GainVerdict,
+    check_gains,
+    saved_certificates,
+    verify,
 )
 
 if TYPE_CHECKING:
-    from hpid_ros.control.controller_files import ParameterFile
-    from hpid_ros.control.settings import LoopSettings
     from hpid_ros.robot.coupling import Settling
 
 
@@ -117,48 +122,8 @@ def _verdict(verdict: GainVerdict) -> Text:
     return Text("NO", style="red")
 
 
-_GIVEN = {
-    "p": "gains.p",
-    "i": "gains.i",
-    "d": "gains.d",
-    "mu": "mu",
-    "norm": "norm.type",
-    "error_scale": "norm.error_scale",
-    "rate_weight": "norm.rate_weight",
-    "period": "control_period",
-}
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "check-gains",
-        description="Check gains given as options, in a controller parameter file or experiment, "
-        "or of the controllers that are running. Exit code 0 only if every joint is certified.",
-    )
-    parser.add_argument(
-        "file",
-        nargs="?",
-        type=Path,
-        metavar="FILE",
-        help="parameter file, experiment, or certificates.json of a result, to verify",
-    )
-    parser.add_argument("--live", action="store_true", help="of all running joint controllers")
-    for name, parameter in _GIVEN.items():
-        kind = str if name == "norm" else float
-        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, help=f"as {parameter}")
-    add_robot_options(parser)
-    parser.add_argument("--json", action="store_true", help="everything, with the certificates")
-    parser.set_defaults(command=run)
-
-
 def run(options: argparse.Namespace) -> int:
     """Check the gains and print the verdicts."""
-    from hpid_ros.base.console import TextConsole
-    from hpid_ros.cli.options import joint_progress
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.stability.gain_check import check_gains, saved_certificates
-
     if options.file:
         saved = saved_certificates(options.file)
         if saved:
@@ -206,8 +171,6 @@ def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) ->
 
 def _verify(saved: Mapping[str, Mapping[str, Any]], as_json: bool) -> int:
     """Check saved certificates again, each on its own."""
-    from hpid_ros.stability.gain_check import verify
-
     findings = {name: verify(each) for name, each in saved.items()}
     if as_json:
         print(json.dumps({name: each._asdict() for name, each in findings.items()}, indent=2))
@@ -219,11 +182,9 @@ def _verify(saved: Mapping[str, Mapping[str, Any]], as_json: bool) -> int:
 
 def _loops(options: argparse.Namespace) -> ParameterFile:
     """Return the loops to check by the name to show them under, and inertias by joint."""
-    from hpid_ros.control.controller_files import ParameterFile
-
     given = {
         parameter: getattr(options, name)
-        for name, parameter in _GIVEN.items()
+        for name, parameter in GAIN_OPTIONS.items()
         if getattr(options, name) is not None
     }
     sources = [bool(options.file), options.live, bool(given)]
@@ -237,7 +198,6 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
         return ParameterFile(running_loops(), {})
     if options.file:
         return loop_file(options.file)[1]
-    from hpid_ros.control.settings import LoopSettings
 
     missing = [f"--{name}" for name in "pid" if getattr(options, name) is None]
     if missing:

@@ -4,57 +4,35 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import (
     BOTH,
-    add_engine,
-    add_experiment,
-    add_output,
     chosen_engines,
     experiment_to_run,
     named_experiment,
     output_folder,
     warn_uncontrolled,
 )
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from hpid_ros.experiment.compare import Compared
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "compare",
-        description="Run the controllers of an experiment on the real ROS 2 graph, one process "
-        "per joint, record everything, and leave tables, figures and a report.",
-    )
-    add_experiment(parser)
-    add_engine(parser, or_both=True)
-    add_output(parser, "NAME")
-    parser.add_argument(
-        "--in-process", action="store_true", help="run without ROS; the numbers are the same"
-    )
-    parser.add_argument(
-        "--no-figures", action="store_true", help="leave out figures/, which take the longest"
-    )
-    parser.add_argument(
-        "--animation",
-        action="store_true",
-        help="animate the robot, in animation.webp and in the report (hpid render has more)",
-    )
-    parser.set_defaults(command=run)
+from hpid_ros.cli.terminal import (
+    RunProgress,
+    output_console,
+    print_notes,
+    print_result_places,
+    print_runs,
+)
+from hpid_ros.experiment.compare import Compared, compare, compare_engines
+from hpid_ros.experiment.in_process import named
+from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.report.table import ComparisonTable
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the comparison and print what it gave."""
     # Imported here, as in every command: --help and errors do not wait for them.
-    from hpid_ros.cli.terminal import RunProgress, output_console
-    from hpid_ros.experiment.compare import compare
 
     if options.engine == BOTH:
         if options.animation:
@@ -80,7 +58,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _animate(console: Console, output: Path) -> None:
     from hpid_ros.cli.commands.render import ANIMATION, rendered, save_in_report
-    from hpid_ros.experiment.result_folder import ResultFolder
     from hpid_ros.report.film import FilmSettings, encoded
 
     film = rendered(console, output, (), FilmSettings())
@@ -91,10 +68,6 @@ def _animate(console: Console, output: Path) -> None:
 
 def _run_in_both(options: argparse.Namespace) -> int:
     """Run the comparison in both engines, one after the other, and print how far they differ."""
-    from hpid_ros.cli.terminal import RunProgress, output_console, print_result_places
-    from hpid_ros.experiment.compare import compare_engines
-    from hpid_ros.experiment.in_process import named
-
     engines = chosen_engines(options)
     experiments = [named_experiment(options.experiment, engine) for engine in engines]
     warn_uncontrolled(experiments)
@@ -120,9 +93,6 @@ def _run_in_both(options: argparse.Namespace) -> int:
 
 
 def _print(console: Console, compared: Compared) -> None:
-    from hpid_ros.cli.terminal import print_notes, print_result_places, print_runs
-    from hpid_ros.report.table import ComparisonTable
-
     result = compared.result
     console.print(ComparisonTable(result.comparison))
     print_notes(console, result.notes)

@@ -10,17 +10,21 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
 from hpid_ros.base.errors import ResultExistsError, SettingError
 from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
-from hpid_ros.cli.options import add_joints, add_robot_options, inertias_from
+from hpid_ros.cli.options import inertias_from
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan
+from hpid_ros.report.table import TableColumn, WideTable
+from hpid_ros.tuning.identification_report import excitation_figure
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from hpid_ros.live.controllers import Controller
     from hpid_ros.live.motion import Ending, Tell
-    from hpid_ros.motion.excitation import ExcitationPlan
 
 
 def agreed(question: str, *, is_given: bool, option: str = "--yes") -> bool:
@@ -33,14 +37,6 @@ def agreed(question: str, *, is_given: bool, option: str = "--yes") -> bool:
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def add_graph_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say which controllers of the running graph are meant."""
-    parser.add_argument("--namespace", metavar="NS", help="only controllers below this namespace")
-    parser.add_argument(
-        "--states", default="joint_states", metavar="TOPIC", help="of the states (joint_states)"
-    )
-
-
 def new_bag(given: Path | None, kind: str, option: str, *, is_dry: bool) -> Path:
     """Return where to record: nothing is written over."""
     bag = given or Path(f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
@@ -50,77 +46,10 @@ def new_bag(given: Path | None, kind: str, option: str, *, is_dry: bool) -> Path
 
 
 _FORMATS = (".png", ".pdf", ".svg")
-_KINDS = ("multisine", "steps")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "excite",
-        description="Move joints of a running robot, by sums of sines or steps within shares of "
-        "their limits, through the controllers that run, and record it. It asks before anything "
-        "moves. At any limit, when a controller, the states or the recorder are silent, when "
-        "somebody else sends a trajectory, and at Ctrl-C the joints come to rest, and their "
-        "controllers hold them. Watch the robot, with a hand at its emergency stop: it knows "
-        "neither its surroundings nor itself.",
-    )
-    add_joints(parser, "only this joint (all that run); may be given several times")
-    parser.add_argument("--kind", choices=_KINDS, default=_KINDS[0], help="(multisine)")
-    parser.add_argument(
-        "--together", action="store_true", help="all joints at once, not one after the other"
-    )
-    parser.add_argument(
-        "--duration", type=float, default=20.0, metavar="S", help="of each joint (20)"
-    )
-    parser.add_argument(
-        "--frequencies",
-        type=float,
-        nargs=2,
-        default=(0.1, 2.5),
-        metavar=("LOW", "HIGH"),
-        help="of the sines in Hz (0.1 2.5)",
-    )
-    parser.add_argument(
-        "--share",
-        type=float,
-        default=0.5,
-        help="of what is left of each limit of position and effort, and of the velocity limit "
-        "(0.5)",
-    )
-    parser.add_argument(
-        "--amplitude", type=float, default=0.5, metavar="A", help="at most, in rad or m (0.5)"
-    )
-    parser.add_argument("--velocity", type=float, metavar="V", help="at most, in rad/s or m/s")
-    parser.add_argument(
-        "--acceleration", type=float, metavar="A", help="at most, in rad/s^2 or m/s^2"
-    )
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        default=0.0,
-        metavar="E",
-        help="stop a joint that is further from its reference, in rad or m (half its amplitude)",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the sines' phases (0)")
-    add_robot_options(parser)
-    add_graph_options(parser)
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="BAG", help="new folder (excitation-TIME)"
-    )
-    parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw the plan: .png, .pdf or .svg"
-    )
-    parser.add_argument("--force", action="store_true", help="replace the file of --plot")
-    parser.add_argument(
-        "--dry-run", action="store_true", help="show what would be done, and do nothing"
-    )
-    parser.add_argument("--yes", action="store_true", help="move without asking")
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Plan, show, ask, excite."""
-    from hpid_ros.cli.terminal import output_console
     from hpid_ros.live.graph_client import running_graph
     from hpid_ros.live.motion import carry_out, chosen
 
@@ -160,7 +89,6 @@ def _bag(options: argparse.Namespace) -> Path:
 
 def _plan(options: argparse.Namespace, controllers: Sequence[Controller]) -> ExcitationPlan:
     from hpid_ros.live.motion import bounds_of
-    from hpid_ros.motion.excitation import Design, Wish, plan
 
     names = [each.joint for each in controllers]
     pose = {each.joint: each.position for each in controllers if each.position is not None}
@@ -187,8 +115,6 @@ def _plan(options: argparse.Namespace, controllers: Sequence[Controller]) -> Exc
 
 
 def _show(console: Console, planned: ExcitationPlan, *, are_together: bool) -> None:
-    from hpid_ros.report.table import TableColumn, WideTable
-
     joints = planned.joints
     columns = {
         "from": [f"{each.bounds.position:.3f}" for each in joints],
@@ -229,7 +155,6 @@ def _room(bounds: Any) -> float:
 
 def _draw(path: Path, planned: ExcitationPlan) -> None:
     from hpid_ros.report.plots import render
-    from hpid_ros.tuning.identification_report import excitation_figure
 
     try:
         write_file(path, render(excitation_figure(planned), path.suffix.lower()[1:]))
@@ -239,8 +164,6 @@ def _draw(path: Path, planned: ExcitationPlan) -> None:
 
 @contextmanager
 def _progress(console: Console, planned: ExcitationPlan) -> Iterator[Tell]:
-    from rich.progress import BarColumn, Progress, TextColumn
-
     columns = (
         TextColumn("{task.fields[doing]}"),
         BarColumn(bar_width=24),

@@ -5,62 +5,22 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import (
-    add_joints,
     first_homogeneous,
     loop_file,
     require_controller,
     require_joints,
 )
-
-if TYPE_CHECKING:
-    from hpid_ros.control.settings import LoopSettings
-
-
-_PRECISIONS = ("double", "single")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "export",
-        description="Write the loop of each joint as self-contained C99: a header and a source "
-        "with law, norm, limits, anti-windup and velocity filter, and a program that replays "
-        "what Python answers to a thousand states and prints the largest deviation.",
-        epilog="docs/export.md says what the C code holds and what stays with the node.",
-    )
-    parser.add_argument(
-        "file", type=Path, metavar="FILE", help="parameter file of controllers, or experiment"
-    )
-    parser.add_argument("--c", action="store_true", required=True, help="in C99")
-    add_joints(parser, "export this joint; may be repeated (all)")
-    parser.add_argument(
-        "--controller",
-        metavar="LABEL",
-        help="of an experiment (its first with a homogeneous loop)",
-    )
-    parser.add_argument(
-        "--precision",
-        choices=_PRECISIONS,
-        default="double",
-        help="of the numbers (double); a macro in the header can say another",
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write into"
-    )
-    parser.add_argument("--force", action="store_true", help="replace existing files")
-    parser.set_defaults(command=run)
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.tuning.c_export import c_files, file_names, require_distinct
 
 
 def run(options: argparse.Namespace) -> int:
     """Export, then write: all files or, where one cannot be, none."""
-    from hpid_ros.tuning.c_export import c_files, require_distinct
-
     loops = _chosen(_loops(options.file, options.controller), options.joint)
     require_distinct([each.joint for each in loops])
     _refuse_in_the_way(options, loops)
@@ -93,8 +53,6 @@ def _chosen(loops: Sequence[LoopSettings], joints: Sequence[str]) -> list[LoopSe
 
 def _refuse_in_the_way(options: argparse.Namespace, loops: Sequence[LoopSettings]) -> None:
     """Refuse a folder that is none, and files that are there."""
-    from hpid_ros.tuning.c_export import file_names
-
     folder: Path = options.output
     if folder.exists() and not folder.is_dir():
         raise SettingError(f"{folder} is no folder; name one with -o")

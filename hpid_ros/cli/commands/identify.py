@@ -6,24 +6,28 @@ import argparse
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import find_resource, refuse_outputs
+from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
-    add_joints,
-    add_time,
-    add_topics,
     bag_selection,
     load_robot,
     write_output,
 )
-
-if TYPE_CHECKING:
-    from hpid_ros.robot.description import GivenRobot
-    from hpid_ros.tuning.robot_identification import RobotIdentification
-
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.messages.run import read_run
+from hpid_ros.metrics.measure import sliding_joints
+from hpid_ros.robot.description import GivenRobot
+from hpid_ros.tuning.identification_report import (
+    as_mapping,
+    experiment_text,
+    identification_figure,
+    report,
+)
+from hpid_ros.tuning.identify import Method
+from hpid_ros.tuning.robot_identification import RobotIdentification, base_motion, identify_robot
 
 _FORMATS = (".png", ".pdf", ".svg")
 _LABEL = "recording"
@@ -33,62 +37,8 @@ _HEADER = (
 )
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "identify",
-        description="Find what each joint's motor moves and what holds it back, from recorded "
-        "positions and efforts, with 95 % intervals, and say what the recording cannot tell. "
-        "With --urdf the links' masses are known, and rotors, friction and the effort's scale are "
-        "sought; without, each joint is taken for itself, as if the others were at rest.",
-        epilog="Exit code 1 if nothing could be found of any joint.",
-    )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or file")
-    parser.add_argument(
-        "--urdf",
-        metavar="FILE",
-        help="the robot: a URDF, or an experiment file (.yaml); its base stands still, and its "
-        "own rotors and friction do not count",
-    )
-    add_joints(parser, "a joint to identify; may be repeated (all)")
-    parser.add_argument(
-        "--effort-unit",
-        choices=("si", "any"),
-        default="si",
-        help="any: efforts are in a unit of their own, as of current, which the masses of --urdf "
-        "fix (si: N m and N)",
-    )
-    parser.add_argument(
-        "--cutoff", type=float, metavar="HZ", help="of the low pass (by each joint's noise)"
-    )
-    parser.add_argument(
-        "--longest-delay", type=float, default=0.1, metavar="S", help="to look for (0.1 s)"
-    )
-    read = parser.add_argument_group("what is read from the bag")
-    add_topics(read)
-    add_time(read)
-    written = parser.add_argument_group("output")
-    written.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="what was found, as YAML that experiment files extend and that --urdf and --inertia "
-        "of other commands take",
-    )
-    written.add_argument("--json", type=Path, metavar="FILE", help="every number")
-    written.add_argument(
-        "--plot", type=Path, metavar="FILE", help="predicted and measured efforts: png, pdf, svg"
-    )
-    written.add_argument("--force", action="store_true", help="replace files that exist")
-    parser.set_defaults(command=run)
-
-
 def run(options: argparse.Namespace) -> int:
     """Identify the joints of a bag."""
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.tuning.identification_report import report
-
     if options.effort_unit == "any" and not options.urdf:
         raise SettingError("--effort-unit any needs --urdf, whose masses fix the unit")
     if options.plot is not None and options.plot.suffix.lower() not in _FORMATS:
@@ -109,12 +59,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _identified(options: argparse.Namespace, robot: GivenRobot | None) -> RobotIdentification:
-    from hpid_ros.base.processes import raise_if_interrupted
-    from hpid_ros.messages.run import read_run
-    from hpid_ros.metrics.measure import sliding_joints
-    from hpid_ros.tuning.identify import Method
-    from hpid_ros.tuning.robot_identification import base_motion, identify_robot
-
     method = Method(options.cutoff, options.longest_delay, options.effort_unit == "any")
     # Other joints' motion counts where the robot is known, whichever are asked for.
     asked = options.joint or None
@@ -135,8 +79,6 @@ def _contents(
     options: argparse.Namespace, robot: GivenRobot | None, found: RobotIdentification
 ) -> dict[Path, str | bytes]:
     """Return the contents of the files that are asked for."""
-    from hpid_ros.tuning.identification_report import as_mapping, experiment_text
-
     contents: dict[Path, str | bytes] = {}
     if options.output is not None:
         header = [f"Identified from {options.bag.name}."]
@@ -155,7 +97,6 @@ def _contents(
         contents[options.json] = json.dumps(document, indent=2) + "\n"
     if options.plot is not None:
         from hpid_ros.report.plots import render
-        from hpid_ros.tuning.identification_report import identification_figure
 
         form = options.plot.suffix.lower()[1:]
         contents[options.plot] = render(identification_figure(found.joints, found.slides), form)

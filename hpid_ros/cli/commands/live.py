@@ -7,47 +7,12 @@ import signal
 import subprocess
 import sys
 from importlib.util import find_spec
-from typing import Any
 
 from hpid_ros.base.errors import LibraryError
 from hpid_ros.base.processes import uninterrupted
 from hpid_ros.experiment.processes import Beginning
 
 _ENDS_WITHIN = 10.0  # [s]
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "live",
-        description="Serve a page for the controllers that run, and open it in the browser: see "
-        "joints, retune them within what is certified, try motions, stop. Ctrl-C ends the page, "
-        "and changes nothing on the robot.",
-    )
-    parser.add_argument(
-        "--host",
-        default="127.0.0.1",
-        metavar="ADDRESS",
-        help="where to listen (127.0.0.1: this computer alone); another one needs --token",
-    )
-    parser.add_argument(
-        "--port", type=int, default=8080, metavar="N", help="0 chooses a free one (8080)"
-    )
-    parser.add_argument(
-        "--token", default="", metavar="TEXT", help="what opens the page (drawn anew each time)"
-    )
-    parser.add_argument("--no-browser", action="store_true", help="print the address alone")
-    parser.add_argument(
-        "--rate", type=float, default=30.0, metavar="HZ", help="frames a second, 5 to 60 (30)"
-    )
-    parser.add_argument(
-        "--button-timeout",
-        type=float,
-        default=0.4,
-        metavar="S",
-        help="joints stop when nothing was heard of a held button for so long, 0.2 to 2 (0.4)",
-    )
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,15 +7,14 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from hpid_ros import __version__
+from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.files import refuse_outputs
+from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
-    add_joints,
-    add_robot_options,
     joint_progress,
     judged_loops,
     load_robot,
@@ -26,92 +25,26 @@ from hpid_ros.cli.options import (
     sliding_joints,
     write_output,
 )
-
-if TYPE_CHECKING:
-    from hpid_ros.control.controller_files import ParameterFile
-    from hpid_ros.experiment.description import Experiment
-    from hpid_ros.stability.gain_check import Loop
-    from hpid_ros.stability.margins import LoopFamily
-    from hpid_ros.stability.measured_margins import LoopReport, MeasuredJoint
-
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.control.controller_files import ParameterFile
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.messages.run import read_run
+from hpid_ros.report.margins import MarginTable, margins_figure
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.stability.gain_check import Loop, check_gains
+from hpid_ros.stability.margins import LoopFamily, family_margins, loop_family
+from hpid_ros.stability.measured_margins import (
+    LoopReport,
+    MeasuredJoint,
+    measured_joint,
+    nearest_distance,
+)
 
 _FORMATS = ("png", "pdf", "svg")
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "margins",
-        description="Compute the margins of every joint's loop as it is sampled and held, over "
-        "the inertia and, for the homogeneous law, over the multipliers that it reaches, each "
-        "frozen in turn; beside them what is certified of the law itself.",
-        epilog="docs/margins.md defines every number. Exit code 0 if every frozen loop is stable, "
-        "1 if one is not.",
-    )
-    parser.add_argument(
-        "file", type=Path, metavar="FILE", help="parameter file of controllers, or experiment"
-    )
-    add_joints(parser, "only this joint; may be repeated (all)")
-    parser.add_argument(
-        "--controller", metavar="LABEL", help="only this controller of an experiment (all)"
-    )
-    add_robot_options(parser)
-    parser.add_argument(
-        "--friction",
-        action="append",
-        nargs="+",
-        default=[],
-        metavar="B",
-        help="viscous friction [N m s/rad] of every joint, or JOINT=B (the damping of --urdf or "
-        "of the experiment's robot, else 0)",
-    )
-    parser.add_argument(
-        "--delay",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="from a state to its effort at the joint, beyond the hold: computation, bus, dead "
-        "time [s] (0); an experiment's drives add theirs",
-    )
-    parser.add_argument(
-        "--norm-max",
-        type=float,
-        metavar="N",
-        help="largest norm that the loops reach (norm.cap, or 2 where there is none)",
-    )
-    parser.add_argument(
-        "--bag",
-        type=Path,
-        help="recorded excitation: the measured frequency response is compared and drawn",
-    )
-    parser.add_argument(
-        "--coherence",
-        type=float,
-        default=0.95,
-        metavar="C",
-        help="frequencies of the bag with less are left out (0.95)",
-    )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything as JSON")
-    parser.add_argument(
-        "--plot",
-        type=Path,
-        metavar="FILE",
-        help="draw Bode, Nyquist, |S| and |T| as .png, .pdf or .svg; of several loops one file "
-        "each, FILE with the loop's name",
-    )
-    parser.add_argument("--force", action="store_true", help="replace existing files")
-    parser.set_defaults(command=run)
-
-
 def run(options: argparse.Namespace) -> int:
     """Compute, then write, then print."""
-    from hpid_ros.base.console import TextConsole
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.report.margins import MarginTable, margins_figure
-    from hpid_ros.stability.gain_check import check_gains
-    from hpid_ros.stability.margins import family_margins
-    from hpid_ros.stability.measured_margins import LoopReport, nearest_distance
-
     experiment, file = loop_file(options.file)
     file = _chosen(file, experiment, options)
     judged = judged_loops(options, file)
@@ -174,9 +107,6 @@ def _families(
     options: argparse.Namespace, experiment: Experiment | None, judged: Sequence[Loop]
 ) -> list[LoopFamily]:
     """Return the loops with the friction and the delays of the experiment's robot, or --urdf's."""
-    from hpid_ros.robot.description import RobotDescription
-    from hpid_ros.stability.margins import loop_family
-
     friction: dict[str, float] = {}
     delays: dict[str, float] = {}
     description = None
@@ -238,9 +168,6 @@ def _measured(
     """Return the measured joints, by name."""
     if options.bag is None:
         return {}
-    from hpid_ros.base.processes import raise_if_interrupted
-    from hpid_ros.messages.run import read_run
-    from hpid_ros.stability.measured_margins import measured_joint
 
     loops = {each.settings.joint: each.settings for each in families}
     for joint, settings in loops.items():

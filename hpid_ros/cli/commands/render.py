@@ -7,106 +7,33 @@ import re
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
 
 from hpid_ros.base.errors import ExperimentError, SettingError
 from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from hpid_ros.experiment.result_folder import ResultFolder
-    from hpid_ros.report.film import Film, FilmSettings
+from hpid_ros.cli.options import progress
+from hpid_ros.cli.terminal import output_console, print_result_places
+from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.report.film import (
+    Film,
+    FilmSettings,
+    encoded,
+    for_report,
+    recorded,
+    render,
+    require_suffix,
+)
 
 ANIMATION, PICTURE, REPORT = "animation.webp", "picture.png", "report.html"
 """Names of files in a result folder."""
-_EXAMPLES = """\
-examples:
-  hpid render results/mine                      animation.webp in that folder
-  hpid render results/mine --report             and in its report.html
-  hpid render results/mine -o arm.gif --size 480x300 --fps 10
-  hpid render results/mine --from 3 --to 4 --speed 0.2 --joint arm_joint_4
-  hpid render results/mine --at 3.3 -o arm.png  one picture
-
-The suffix of FILE is the format: .webp (small), .gif, .png (lossless, moving
-with several pictures); of one picture also .jpg.
-"""
 _SIZE = re.compile(r"(\d{1,5})x(\d{1,5})")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "render",
-        description="Draw the robot of a result as it was recorded, under each controller side\n"
-        "by side, above the error over time; green is where the references are.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "result", type=Path, metavar="RESULT", help="folder of hpid compare or run"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="(animation.webp in RESULT)"
-    )
-    parser.add_argument("--size", default="720x450", metavar="WxH", help="in pixels (720x450)")
-    parser.add_argument(
-        "--fps", type=float, default=12.5, metavar="N", help="pictures in a second (12.5)"
-    )
-    parser.add_argument(
-        "--from",
-        dest="start",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="first instant, in s (0)",
-    )
-    parser.add_argument("--to", type=float, metavar="S", help="last instant, in s (the end)")
-    parser.add_argument("--at", type=float, metavar="S", help="one picture, of this instant in s")
-    parser.add_argument(
-        "--speed",
-        type=float,
-        metavar="X",
-        help="seconds shown in one (1, or more for runs of more than 10 s)",
-    )
-    parser.add_argument(
-        "--joint", metavar="NAME", help="draw its position, not the error's norm over all joints"
-    )
-    parser.add_argument(
-        "--controller",
-        action="append",
-        default=[],
-        metavar="LABEL",
-        help="show this run; may be repeated (all, at most 4)",
-    )
-    parser.add_argument(
-        "--view",
-        type=float,
-        nargs=2,
-        default=(-50.0, 16.0),
-        metavar=("AZIMUTH", "ELEVATION"),
-        help="where the camera stands, in degrees (-50 16)",
-    )
-    parser.add_argument(
-        "--engine",
-        metavar="ENGINE",
-        help="kept from earlier versions, pybullet or mujoco: MuJoCo draws, which needs OpenGL "
-        "but no screen",
-    )
-    parser.add_argument(
-        "--report", action="store_true", help="put the animation into RESULT's report.html, too"
-    )
-    parser.add_argument("--force", action="store_true", help="replace an existing file")
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Draw the result and say where it is."""
-    from hpid_ros.cli.terminal import output_console, print_result_places
-    from hpid_ros.experiment.result_folder import ResultFolder
-    from hpid_ros.report.film import encoded, require_suffix
-
     settings = _settings(options)
     is_still = options.at is not None
     if is_still and options.report:
@@ -143,9 +70,6 @@ def rendered(
     console: Console, result: Path, labels: Sequence[str], settings: FilmSettings
 ) -> Film:
     """Return the animation of a result's runs, and show how far it is meanwhile."""
-    from hpid_ros.cli.options import progress
-    from hpid_ros.report.film import recorded, render
-
     world, runs, bags = recorded(result, labels)
     with ExitStack() as stack:
         advances: list[Any] = []
@@ -174,7 +98,6 @@ def report_page(result: Path) -> str:
 
 def save_in_report(folder: ResultFolder, film: Film) -> None:
     """Put an animation into the report of a result, in the place of one that is there."""
-    from hpid_ros.report.film import encoded, for_report
     from hpid_ros.report.page import with_animation
 
     page = report_page(folder.path)
@@ -185,8 +108,6 @@ def save_in_report(folder: ResultFolder, film: Film) -> None:
 
 def _settings(options: argparse.Namespace) -> FilmSettings:
     """Return what the options say."""
-    from hpid_ros.report.film import FilmSettings
-
     size = _SIZE.fullmatch(options.size)
     if size is None:
         raise SettingError(f"--size {options.size!r} must be WIDTHxHEIGHT, for instance 720x450")

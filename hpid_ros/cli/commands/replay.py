@@ -4,75 +4,23 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+from hpid_ros.base.console import TextConsole
+from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.options import add_joints
+from hpid_ros.cli.options import joint_progress
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.tuning.recorded_loops import read_records
+from hpid_ros.tuning.replay import Difference, JointVerdict, replay_joint
 
-if TYPE_CHECKING:
-    from hpid_ros.tuning.replay import Difference, JointVerdict
-
-
-_EXAMPLES = """\
-examples:
-  hpid replay results/mine/bags/hPID    a bag of hpid compare or hpid run
-  hpid replay my_bag --params controllers.yaml
-                                        a bag of ros2 bag record; the file is
-                                        what the controllers were started with
-
-A bag must hold the states, the commands with the stamps of the states that they
-answer (joint_commands), and what the controllers were told: joint_trajectory,
-~/setpoint, and /parameter_events if anything was retuned.
-
-Exit codes: 0 every command is the law's, 1 one is not, 2 the input cannot be
-used.
-"""
 _SHOWN = 5
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "replay",
-        description="Feed the recorded states, references and parameter changes to the same\n"
-        "control loops, and say whether every command is theirs, or where and how it\n"
-        "is not.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="a bag folder, or one file of it")
-    parser.add_argument(
-        "--params",
-        type=Path,
-        metavar="FILE",
-        help="parameter file of the controllers as they were started; those in the bag if not "
-        "given",
-    )
-    add_joints(parser, "a joint to compute anew; may be repeated (all)")
-    parser.add_argument("--namespace", help="only topics below this namespace")
-    parser.add_argument(
-        "--states",
-        action="append",
-        metavar="TOPIC",
-        help="topic of the states; once for each topic of one robot",
-    )
-    parser.add_argument("--commands", metavar="TOPIC", help="topic of the commands")
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Replay a bag, and say what came of it."""
-    from hpid_ros.base.console import TextConsole
-    from hpid_ros.base.processes import raise_if_interrupted
-    from hpid_ros.cli.options import joint_progress
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.messages.selection import BagSelection
-    from hpid_ros.tuning.recorded_loops import read_records
-    from hpid_ros.tuning.replay import replay_joint
-
     selection = BagSelection(
-        namespace=options.namespace, states=options.states, commands=options.commands
+        namespace=options.namespace, states=options.states or None, commands=options.commands
     )
     records, unreadable = read_records(
         options.bag,

@@ -6,17 +6,20 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+from rich import box
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import load_robot
-
-if TYPE_CHECKING:
-    from hpid_ros.report.table import WideTable
-    from hpid_ros.robot.description import GivenRobot
-
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.report.table import TableColumn, WideTable
+from hpid_ros.robot.amendments import amended, review
+from hpid_ros.robot.description import GivenRobot
+from hpid_ros.robot.dynamics import Dynamics
 
 _COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")
 _CAPTION = (
@@ -28,26 +31,8 @@ _OF_SLIDES = "m and m/s, N, N s/m and kg, where joints that turn have rad, N m, 
 _SHOWN = 3  # names in a remark
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "robot",
-        description="Show the joints of a URDF, or of an experiment's robot with all that the "
-        "experiment knows better, and what to know before it is simulated.",
-    )
-    parser.add_argument("file", metavar="FILE", help="URDF, or experiment file (.yaml)")
-    parser.add_argument("--poses", type=int, default=200, help="poses sampled for the inertias")
-    parser.add_argument("--json", action="store_true", help="machine-readable")
-    parser.add_argument("--save", type=Path, metavar="URDF", help="write the robot to a new file")
-    parser.add_argument("--force", action="store_true", help="replace an existing file")
-    parser.set_defaults(command=run)
-
-
 def run(options: argparse.Namespace) -> int:
     """Show the robot."""
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.robot.amendments import amended, review
-
     if options.save:
         inputs = [Path(options.file)]
         refuse_output(options.save, force=options.force, inputs=inputs, option="--save")
@@ -89,10 +74,6 @@ def _listed(names: tuple[str, ...]) -> str:
 
 def _facts(robot: GivenRobot, poses: int) -> dict[str, dict[str, Any]]:
     """Return what is known of each joint; None is unlimited."""
-    import numpy as np
-
-    from hpid_ros.robot.dynamics import Dynamics
-
     joints = robot.description.joints
     dynamics = Dynamics(robot.description)
     start = robot.initial_positions
@@ -128,9 +109,6 @@ def _finite(value: float) -> float | None:
 
 
 def _table(name: str, facts: dict[str, dict[str, Any]]) -> WideTable:
-    from rich import box
-
-    from hpid_ros.report.table import TableColumn, WideTable
 
     rows = [
         (

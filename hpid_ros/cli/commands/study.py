@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+
+from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
-    add_engine,
-    add_jobs,
-    add_joints,
-    add_output,
     chosen_engines,
     chosen_runner,
     output_folder,
@@ -21,66 +20,32 @@ from hpid_ros.cli.options import (
     result_announced,
     run_progress,
 )
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from hpid_ros.experiment.study import StudyResult
-    from hpid_ros.experiment.study_plan import StudyPlan
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "study",
-        description="Run every controller of every experiment with many seeds, without ROS, on "
-        "every core. Prints medians with quartiles, ratios to each experiment's first "
-        "controller, and for every claim of the paper whether it holds.",
-        epilog="A run that fails is named, the others go on, and the exit code is 1. An "
-        "interrupt leaves what was run; --resume carries on. The numbers are those of hpid "
-        "compare, to the last bit, with any number of jobs.",
-    )
-    parser.add_argument(
-        "experiments",
-        nargs="*",
-        metavar="FILE",
-        help="experiment files (all of this package but the bricks)",
-    )
-    add_joints(parser, "judge this joint; may be repeated (those that each experiment judges)")
-    parser.add_argument(
-        "--seeds", type=int, default=20, metavar="N", help="runs of each controller (20)"
-    )
-    add_engine(parser, or_both=True)
-    add_jobs(parser)
-    add_output(parser, "study")
-    parser.add_argument(
-        "--resume", action="store_true", help="carry on the study in the output folder"
-    )
-    parser.add_argument(
-        "--shard", metavar="K/N", help="make only the K-th of N parts of the runs (all)"
-    )
-    parser.add_argument(
-        "--merge",
-        action="append",
-        type=Path,
-        metavar="FOLDER",
-        help="run nothing: put the shards of the same study together; once for each",
-    )
-    parser.add_argument(
-        "--table",
-        choices=("text", "docs", "csv", "json"),
-        default="text",
-        help="of the output; docs is Markdown",
-    )
-    parser.set_defaults(command=run)
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.experiment.study import (
+    StudyResult,
+    grids,
+    merged,
+    run_study,
+    runs_csv,
+    save,
+    study_folder,
+    study_markdown,
+    study_text,
+)
+from hpid_ros.experiment.study_plan import (
+    ALL,
+    JOURNAL,
+    StudyPlan,
+    default_files,
+    is_robot_installed,
+    kept_records,
+    plan_study,
+    shard_of,
+)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the study and print its tables."""
-    from hpid_ros.base.console import TextConsole
-    from hpid_ros.experiment.study import run_study, study_folder
-    from hpid_ros.experiment.study_plan import kept_records
-
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
     plan = _plan(options)
@@ -104,8 +69,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> StudyPlan:
-    from hpid_ros.experiment.study_plan import ALL, plan_study, shard_of
-
     if options.merge and (options.shard or options.resume):
         raise SettingError("--merge makes no run: neither --shard nor --resume goes with it")
     engines = chosen_engines(options)
@@ -120,9 +83,6 @@ def _plan(options: argparse.Namespace) -> StudyPlan:
 
 
 def _merge(options: argparse.Namespace, plan: StudyPlan, console: Console) -> int:
-    from hpid_ros.experiment.study import merged, save, study_folder
-    from hpid_ros.experiment.study_plan import JOURNAL
-
     result = merged(plan, options.merge)
     inputs = [*plan.inputs, *(part / JOURNAL for part in options.merge)]
     path = output_folder(options, "study")
@@ -135,8 +95,6 @@ def _merge(options: argparse.Namespace, plan: StudyPlan, console: Console) -> in
 
 def _shipped_files() -> list[Path]:
     """Return this package's experiments whose robots are installed, and say which are not."""
-    from hpid_ros.experiment.study_plan import default_files, is_robot_installed
-
     files = default_files()
     missing = [file for file in files if not is_robot_installed(file)]
     if missing:
@@ -146,10 +104,6 @@ def _shipped_files() -> list[Path]:
 
 
 def _print(result: StudyResult, form: str) -> None:
-    import json
-
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.experiment.study import grids, runs_csv, study_markdown, study_text
 
     if form == "text" and sys.stdout.isatty():
         console = output_console()

@@ -9,107 +9,57 @@ import argparse
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
 from rich.text import Text
 
+from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
-    add_robot_options,
     inertias_from,
     joint_progress,
     load_robot,
     sliding_joints,
     write_output,
 )
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from hpid_ros.messages.series import JointSeries
-    from hpid_ros.report.table import WideTable
-    from hpid_ros.tuning.upgrade import Certifying, Upgrade
-    from hpid_ros.tuning.upgrade_from_bag import UpgradeReport
-    from hpid_ros.tuning.upgrade_prediction import Held, Prediction, Verification
-
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.control.controller_files import parameter_file
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.series import JointSeries
+from hpid_ros.metrics.quantities import INDICES
+from hpid_ros.report.table import ComparisonTable, TableColumn, WideTable
+from hpid_ros.tuning.loop_simulation import predict
+from hpid_ros.tuning.robot_identification import visited_poses
+from hpid_ros.tuning.upgrade import (
+    Certifying,
+    Upgrade,
+    effort_limits,
+    propose,
+    upgrade_text,
+    worthwhile,
+)
+from hpid_ros.tuning.upgrade_from_bag import JUDGED, UpgradeReport, upgrade_from_bag
+from hpid_ros.tuning.upgrade_page import doubts, parameter_text, render, summary
+from hpid_ros.tuning.upgrade_prediction import (
+    HOLDS_WITHIN,
+    Held,
+    Prediction,
+    Verification,
+    prediction_of,
+    read_prediction,
+    verify,
+)
 
 _OUTPUT = Path("upgrade.yaml")
 _PREDICTION = Path("upgrade.json")
 _YAML = (".yaml", ".yml")
 _GOALS = ("smooth", "fast", "balanced")
 _BAGS = (".mcap", ".db3", ".zstd")
-
-
-def add(commands: Any) -> None:
-    """Add the command to the parser."""
-    parser = commands.add_parser(
-        "upgrade",
-        description="Of a parameter FILE: choose norm and degree for the gains of a PID, inside "
-        "the certified interval, and write a controller parameter file with a comment on every "
-        "number. Of a BAG with --urdf: identify the robot, check the PID that ran, propose, "
-        "predict in simulation what that will bring, and write parameters, a page and the "
-        "prediction; --verify holds the prediction against what was recorded after. A joint "
-        "keeps its PID where there is nothing to gain: no degree but 0 qualifies, or, with "
-        "--urdf, the goal's index (smooth: IVC, fast: ITAE, balanced: both, of the whole robot) "
-        "is not predicted to fall by 2 %.",
-        epilog="Exit code 1 if a joint could not be upgraded: the file holds it as it was, with "
-        "the reason; if the simulated PID is nothing like the recorded one: only the page is "
-        "written; with --verify, if the prediction did not hold.",
-    )
-    parser.add_argument(
-        "file",
-        nargs="?",
-        type=Path,
-        metavar="FILE|BAG",
-        help="parameter file of the PID, or a bag that was recorded under it",
-    )
-    parser.add_argument(
-        "--goal",
-        choices=_GOALS,
-        help="smooth lowers the variation of the effort, fast shortens transients; balanced does "
-        "both for the robot as a whole, by one norm in N m for all joints, and needs a recording. "
-        "A FILE needs it, of a BAG it is balanced",
-    )
-    parser.add_argument(
-        "--bag",
-        type=Path,
-        help="beside FILE: recorded under the PID; gives scales and floor and, with --urdf, the "
-        "poses for the inertias, unless --poses asks for others",
-    )
-    parser.add_argument(
-        "--params",
-        type=Path,
-        metavar="FILE",
-        help="beside BAG: parameters of the controllers that ran, if the bag does not hold them",
-    )
-    add_robot_options(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="new file (upgraded.yaml; of a BAG upgrade.yaml, with upgrade.html and upgrade.json "
-        "beside it)",
-    )
-    parser.add_argument("--force", action="store_true", help="replace existing files")
-    parser.add_argument(
-        "--verify",
-        nargs=2,
-        type=Path,
-        metavar=("BEFORE", "AFTER"),
-        help="hold the prediction against two bags of the same motion",
-    )
-    parser.add_argument(
-        "--prediction",
-        type=Path,
-        metavar="FILE",
-        help="with --verify: what upgrade BAG has written (upgrade.json)",
-    )
-    parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -142,12 +92,6 @@ def _certifying(console: Console) -> Certifying:
 
 def _of_bag(options: argparse.Namespace) -> int:
     """Identify, check, propose, predict, write."""
-    from hpid_ros.base.console import TextConsole
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.tuning.upgrade_from_bag import upgrade_from_bag
-    from hpid_ros.tuning.upgrade_page import doubts, parameter_text, render, summary
-    from hpid_ros.tuning.upgrade_prediction import prediction_of
-
     files = _files(options)
     robot = load_robot(options.urdf)
     if Path(options.urdf).suffix not in _YAML:  # of a URDF the base stands still, as in identify
@@ -214,9 +158,6 @@ def _files(options: argparse.Namespace) -> dict[str, Path]:
 
 
 def _table(found: UpgradeReport, prediction: Prediction) -> WideTable:
-    from hpid_ros.metrics.quantities import INDICES
-    from hpid_ros.report.table import TableColumn, WideTable
-
     names = [each.joint for each in found.settings]
     laws = [f"mu {each.mu:+.2f}" if each.law == "hpid" else "PID" for each in found.settings]
     columns = [TableColumn("law", [*laws, ""])]
@@ -234,9 +175,6 @@ def _table(found: UpgradeReport, prediction: Prediction) -> WideTable:
 
 def _verify(options: argparse.Namespace) -> int:
     """Compare a prediction with two recordings."""
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.tuning.upgrade_prediction import read_prediction, verify
-
     given = {
         "FILE or BAG": options.file,
         "--bag": options.bag,
@@ -264,9 +202,6 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _verified_table(found: Verification) -> WideTable:
-    from hpid_ros.metrics.quantities import INDICES
-    from hpid_ros.report.table import TableColumn, WideTable
-
     columns: list[TableColumn] = []
     for index in INDICES:
         rows = [row[index.key] for row in (*found.joints.values(), found.totals)]
@@ -290,9 +225,6 @@ def _off(each: Held) -> str | Text:
 
 
 def _verdict(found: Verification) -> Text:
-    from hpid_ros.tuning.upgrade_from_bag import JUDGED
-    from hpid_ros.tuning.upgrade_prediction import HOLDS_WITHIN
-
     offs = [(index.symbol, found.totals[index.key].off) for index in JUDGED]
     text = ", ".join(
         f"{symbol} {off:+.1%}" if math.isfinite(off) else f"{symbol} unknown"
@@ -307,16 +239,6 @@ def _verdict(found: Verification) -> Text:
 
 def _of_file(options: argparse.Namespace) -> int:
     """Propose, predict, write."""
-    from hpid_ros.base.console import TextConsole
-    from hpid_ros.cli.terminal import output_console
-    from hpid_ros.control.controller_files import parameter_file
-    from hpid_ros.messages.run import read_run
-    from hpid_ros.messages.selection import BagSelection
-    from hpid_ros.metrics.quantities import INDICES
-    from hpid_ros.report.table import ComparisonTable
-    from hpid_ros.tuning.robot_identification import visited_poses
-    from hpid_ros.tuning.upgrade import effort_limits, propose, upgrade_text, worthwhile
-
     inputs = [file for file in (options.file, options.bag) if file is not None]
     refuse_output(options.output, force=options.force, inputs=inputs, option="-o")
     console, errors = output_console(), TextConsole(stderr=True)
@@ -335,8 +257,6 @@ def _of_file(options: argparse.Namespace) -> int:
     )
     comparison = None
     if robot is not None:
-        from hpid_ros.tuning.loop_simulation import predict
-
         after = [proposals[x.joint].settings if x.joint in proposals else x for x in loops]
         both = {"PID": [replace(each, law="pid") for each in after], "hPID": after}
         phase = "simulating the PID and the proposal on the robot"
