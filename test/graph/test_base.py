@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
-from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
@@ -46,32 +45,22 @@ class Listener:
         )
 
 
-def started(harness, **parameters):
-    """Start a bridge whose clock is the wall's, and return what it says."""
+def test_a_live_bridge_tells_odometry_truth_and_slip(harness, tmp_path):
+    base = {"left_wheel": WHEELS[0], "right_wheel": WHEELS[1]}
+    robot = {"description": "urdf/mobile_manipulator.urdf", "base": base}
+    write_document(tmp_path / "world.yaml", {"robot": robot})
     listener = Listener(harness)
     arguments = ros_arguments(
+        world_file=tmp_path / "world.yaml",
+        encoder_counts=[4096] * 8,
         mode="realtime",
         control_rate=200.0,
         real_time_factor=0.5,
         command_timeout=1000.0,
         wait_for_subscribers=0,
-        **parameters,
     )
     harness.processes.start("mujoco_bridge", "mujoco_bridge", arguments)
     harness.wait(lambda: "odom" in listener.last, what="odometry")
-    return listener
-
-
-def world_file(folder, **base):
-    """Return the file of a world whose robot has such a base."""
-    robot = {"description": "urdf/mobile_manipulator.urdf", "base": base}
-    write_document(folder / "world.yaml", {"robot": robot})
-    return folder / "world.yaml"
-
-
-def test_a_live_bridge_tells_odometry_truth_and_slip(harness, tmp_path):
-    file = world_file(tmp_path, left_wheel=WHEELS[0], right_wheel=WHEELS[1])
-    listener = started(harness, world_file=file, encoder_counts=[4096] * 8)
     commands = harness.node.create_publisher(JointState, "joint_commands", OFFERED)
     push = JointStateTemplate(WHEELS, effort=True).encode(0, effort=[0.8, 0.8])
 
@@ -101,23 +90,3 @@ def test_a_live_bridge_tells_odometry_truth_and_slip(harness, tmp_path):
     harness.wait(client.service_is_ready, what="the service")
     client.call_async(Trigger.Request())
     harness.wait(lambda: listener.x("odom") < 0.05, what="odometry to start again")
-
-
-def test_a_live_bridge_without_a_base_tells_the_truth(harness):
-    listener = started(harness)
-    harness.wait(lambda: "base_pose_ground_truth" in listener.last, what="the truth")
-
-    def same_stamp():
-        odom, truth = listener.last["odom"], listener.last["base_pose_ground_truth"]
-        return odom.header.stamp == truth.header.stamp and odom
-
-    harness.wait(same_stamp, what="both of one state")
-    assert listener.last["odom"] == listener.last["base_pose_ground_truth"]
-    assert harness.node.count_publishers("wheel_slip") == 0
-
-
-def test_a_bridge_refuses_a_bad_base_in_one_line(harness, tmp_path):
-    file = world_file(tmp_path, left_wheel=WHEELS[0])
-    ended = run_node("mujoco_bridge", ros_arguments(world_file=file))
-    assert ended.returncode == 2
-    assert "robot.base.right_wheel" in ended.stderr

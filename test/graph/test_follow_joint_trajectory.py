@@ -4,8 +4,6 @@ import itertools
 import math
 import os
 import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -148,6 +146,7 @@ def test_goals_that_cannot_be_followed_say_why_and_move_nothing(joints, tmp_path
     """The rules themselves are those of test_goal_checks; here the messages come to them."""
     from control_msgs.msg import JointTolerance
 
+    harness = joints.harness
     (tmp_path / "arm.urdf").write_text(ARM)
     joints.start(robot_description=tmp_path / "arm.urdf")
     client = Client(joints)
@@ -164,42 +163,25 @@ def test_goals_that_cannot_be_followed_say_why_and_move_nothing(joints, tmp_path
         assert (status, actual) == (ABORTED, code), text
         assert line in text
     assert all(row[1:] == (0.0, 0.0) for row in joints.references["shoulder"])
-    assert joints.harness.set_parameters(ACTION, allow_partial_joints_goal=True)[0]
+    bad_set = {"constraints__elbow__goal": 0.001, "constraints__shoulder__goal": -1.0}
+    for values, line in (
+        (bad_set, "constraints.shoulder.goal"),
+        ({"state_timeout": 0.3}, "read-only"),
+    ):
+        is_set, reason = harness.set_parameters(ACTION, **values)
+        assert (is_set, line in reason) == (False, True)
+    assert harness.set_parameters(ACTION, allow_partial_joints_goal=True)[0]
     assert client.follow(partial)[0] == SUCCEEDED
     assert joints.references["elbow"][-1][1] == 0.3
     assert {row[1] for row in joints.references["shoulder"]} == {0.0}
 
 
-CLIENT = """
-import sys, rclpy
-from builtin_interfaces.msg import Duration
-from control_msgs.action import FollowJointTrajectory as F
-from rclpy.action import ActionClient
-from trajectory_msgs.msg import JointTrajectoryPoint as P
-rclpy.init()
-node = rclpy.create_node("client")
-client = ActionClient(node, F, "joint_trajectory_controller/follow_joint_trajectory")
-client.wait_for_server()
-goal = F.Goal()
-goal.trajectory.joint_names = ["shoulder", "elbow"]
-end = P(positions=[0.5, 0.5], velocities=[0.0, 0.0], time_from_start=Duration(sec=2))
-goal.trajectory.points = [end]
-sent = client.send_goal_async(goal)
-rclpy.spin_until_future_complete(node, sent)
-result = sent.result().get_result_async()
-rclpy.spin_until_future_complete(node, result)
-"""
-
-
 def test_a_goal_outlives_its_client(joints):
     told = Told(joints.harness, ACTION)
     joints.start()
-    client = subprocess.Popen([sys.executable, "-c", CLIENT], env=joints.harness.environment)
-    try:
-        joints.run(lambda: joints.position["elbow"] > 0.1, what="the joints to move")
-    finally:
-        client.kill()
-        client.wait()
+    client = Client(joints)
+    client.send(goal_of({"shoulder": [0.5], "elbow": [0.5]}, [1.0]))
+    client.close()
     joints.run(lambda: told.says(goals_reached="1"), what="the goal to be reached")
     assert joints.position == pytest.approx({"shoulder": 0.5, "elbow": 0.5}, abs=0.01)
     assert Client(joints).follow(there())[0] == SUCCEEDED
@@ -346,27 +328,6 @@ def test_joints_whose_states_are_on_two_topics_follow_one_goal(harness):
     assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.02)
     assert [len(each.actual.positions) for each in client.feedback[-1:]] == [2]
     require_smooth(joints, 1.5, 6.0)
-
-
-def test_parameters_have_descriptions_and_a_bad_set_leaves_no_trace(joints):
-    from rcl_interfaces.srv import DescribeParameters
-
-    joints.start()
-    harness = joints.harness
-    names = ["constraints.elbow.goal", "constraints.goal_time", "joints", "state_timeout"]
-    request = DescribeParameters.Request(names=names)
-    asked = harness.call(DescribeParameters, f"{ACTION}/describe_parameters", request)
-    goal, late, fixed, timeout = asked.descriptors
-    assert "[rad]" in goal.description
-    assert not goal.floating_point_range
-    assert "[s]" in late.description
-    assert [each.read_only for each in (fixed, timeout, goal)] == [True, True, False]
-    is_set, reason = harness.set_parameters(
-        ACTION, constraints__elbow__goal=0.001, constraints__shoulder__goal=-1.0
-    )
-    assert (is_set, "constraints.shoulder.goal" in reason) == (False, True)
-    is_set, reason = harness.set_parameters(ACTION, state_timeout=0.3)
-    assert (is_set, "read-only" in reason) == (False, True)
 
 
 @pytest.mark.parametrize(

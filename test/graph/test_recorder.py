@@ -69,14 +69,6 @@ def test_a_bag_that_is_gone_is_not_flushed_but_refused(tmp_path, meddle):
     assert not (tmp_path / "bag" / "metadata.yaml").exists()
 
 
-def test_a_bag_that_is_gone_at_its_end_is_an_error_of_closing(tmp_path):
-    writer = BagWriter(tmp_path / "bag")
-    writer.write(writer.add_topic("/joint_states", JOINT_STATE), 0, state(0))
-    shutil.rmtree(tmp_path / "bag")
-    with pytest.raises(BagError, match="is gone"):
-        writer.close()
-
-
 def bag_that_missed(path, count):
     with BagWriter(path) as bag:
         topic = bag.add_topic("/joint_states", JOINT_STATE)
@@ -113,29 +105,18 @@ def test_an_entry_that_is_no_count_is_passed_over(text):
     assert time_stood_still({STOOD_STILL: text}) == 0.0
 
 
-def record(harness, bag):
-    """Start a recorder of the states and wait until it listens."""
-    recorder = harness.processes.start(
-        "recorder", "bag_recorder", ros_arguments(bag=bag, topics="[joint_states]")
-    )
-    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the recorder")
-    return recorder
-
-
-def test_which_joints_slide_is_noted_in_the_bag(harness, tmp_path):
-    bag = tmp_path / "bag"
-    arguments = ros_arguments(bag=bag, topics="[joint_states]", slides="[lift]")
+def record(harness, bag, **parameters):
+    """Start a recorder, by default of the states, and wait until it listens to them."""
+    arguments = ros_arguments(bag=bag, **{"topics": "[joint_states]", **parameters})
     recorder = harness.processes.start("recorder", "bag_recorder", arguments)
     harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the recorder")
-    recorder.process.terminate()
-    assert recorder.process.wait(timeout=60) == 0
-    assert recorded_slides(custom_data(bag)) == {"lift"}
+    return recorder
 
 
 def test_states_are_asked_for_when_the_latched_reference_is_in_the_bag(harness, tmp_path):
     publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
     topics = "[joint_trajectory, joint_states]"
-    arguments = ros_arguments(bag=tmp_path / "bag", topics=topics)
+    arguments = ros_arguments(bag=tmp_path / "bag", topics=topics, slides="[lift]")
     recorder = harness.processes.start("recorder", "bag_recorder", arguments)
     harness.wait(lambda: publisher.get_subscription_count() == 1, what="the recorder")
     begin = time.monotonic()
@@ -151,14 +132,12 @@ def test_states_are_asked_for_when_the_latched_reference_is_in_the_bag(harness, 
     with BagReader(tmp_path / "bag") as bag:
         topics = [message.topic for message in bag.messages()]
     assert topics == ["/joint_trajectory", "/joint_states"]
+    assert recorded_slides(custom_data(tmp_path / "bag")) == {"lift"}
 
 
 def test_a_latched_topic_without_a_message_is_not_waited_for_long(harness, tmp_path):
     harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
-    topics = "[joint_trajectory, joint_states]"
-    arguments = ros_arguments(bag=tmp_path / "bag", topics=topics)
-    harness.processes.start("recorder", "bag_recorder", arguments)
-    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the states")
+    record(harness, tmp_path / "bag", topics="[joint_trajectory, joint_states]")
 
 
 class Events:

@@ -230,6 +230,9 @@ class Client:
         """Send a goal and return how it ended."""
         return self.result(self.send(goal))
 
+    def close(self):
+        self._client.destroy()
+
     def cancel(self, handle):
         """Cancel a goal and return how it ended."""
         asked = handle.cancel_goal_async()

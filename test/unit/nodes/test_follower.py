@@ -116,19 +116,6 @@ def test_a_new_goal_replaces_the_old_one_without_a_jump():
         assert np.abs(np.diff(effort)).max() < 1.0
 
 
-def test_a_new_goal_that_begins_elsewhere_is_glided_onto():
-    group = started()
-    group.run(0.5)
-    far = {"shoulder": [0.0, 0.0], "elbow": [0.0, 0.0]}
-    group.begin(goal(far, [0.0, 1.0], at_rest(far)))
-    group.run(0.6)
-    for joint in range(2):
-        _, reference, velocity, _, _ = group.logged(joint)
-        assert np.abs(np.diff(reference)).max() < 4e-3
-        assert np.abs(np.diff(velocity)).max() < 0.05
-        assert reference[-1] == 0.0
-
-
 def test_joints_that_a_goal_does_not_name_rest_and_never_swing_back():
     group = SimulatedGroup(allow_partial_joints_goal=True)
     group.run(0.2)
@@ -183,15 +170,6 @@ def test_goals_of_another_clock_are_refused():
     with pytest.raises(GoalError, match="must start within 3600 s"):
         group.begin(moving(stamp_ns=1_700_000_000 * SECOND))
     assert not group.follower.is_active
-
-
-def test_a_goal_that_is_refused_leaves_the_one_before_it():
-    group = started()
-    group.run(0.3)
-    with pytest.raises(GoalError):
-        group.begin(goal({"elbow": [1.0]}, [1.0]))
-    group.run(2.0, until=lambda: group.results)
-    assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
 
 
 def within(position):

@@ -46,20 +46,15 @@ def test_a_stop_never_passes_a_position_limit(at, room):
     most = {"constraints.shoulder.max_deceleration_on_cancel": 0.5}
     group = SimulatedGroup(("shoulder",), **most)
     group.run(0.2)
-    request = goal({"shoulder": [0.0, 1.0]}, [0.0, 1.0], {"shoulder": [0.0, 0.0]})
-    group.begin(request)
+    group.begin(goal({"shoulder": [0.0, 1.0]}, [0.0, 1.0], {"shoulder": [0.0, 0.0]}))
     group.run(at)
     upper = group.loops[0].reference[0] + room
-    limited = SimulatedGroup(("shoulder",), **most)
-    limited.run(0.2)
-    limited.begin(request)
-    limited.run(at)
     # No goal leads beyond a limit; this one does, once it is under way.
-    limited.follower.settings = replace(limited.settings, facts=(JointFacts(upper=upper),))
-    limited.cancel()
-    (told,) = limited.told[1:]
+    group.follower.settings = replace(group.settings, facts=(JointFacts(upper=upper),))
+    group.cancel()
+    (told,) = group.told[1:]
     assert told.arrays[0].max() <= upper
-    stop = told.column(0).start(limited.stamp_ns, 0.0)
+    stop = told.column(0).start(group.stamp_ns, 0.0)
     path = [stop.sample(told.stamp_ns + k * MS).position for k in range(3000)]
     assert max(path) <= upper + 1e-12
     assert path[-1] == path[-2]

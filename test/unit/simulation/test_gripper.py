@@ -247,18 +247,3 @@ def test_a_hand_that_the_robot_lacks_is_refused():
     place = replace(PLACE, gripper=replace(GRIPPER, link="hand"))
     with pytest.raises(RobotDescriptionError, match="unknown link 'hand'"):
         World(replace(SETTINGS, workplace=place))
-
-
-@pytest.mark.parametrize(
-    ("record", "changes"),
-    [
-        (BRICK, {"size": (0.0, 1.0, 1.0)}),
-        (BRICK, {"name": ""}),
-        (GRIPPER, {"angle_tolerance": 1.0}),
-        (PLACE, {"bricks": (BRICK, BRICK)}),
-        (SCHEDULE[0], {"time": -1e-9}),
-    ],
-)
-def test_impossible_settings_are_refused(record, changes):
-    with pytest.raises(SettingError):
-        replace(record, **changes)

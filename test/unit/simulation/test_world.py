@@ -33,6 +33,7 @@ from harness.worlds import (
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.kinematics import Kinematics
 from hpid_ros.simulation.physics import Twist
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
@@ -287,6 +288,17 @@ def test_the_velocity_of_the_base_is_given_in_its_own_frame():
         velocity = (np.array(pose.position) - before) / PERIOD
         inverse = pinocchio.Quaternion(w, x, y, z).matrix().T
         assert world.base_velocity().linear == pytest.approx(inverse @ velocity, abs=2e-3)
+
+
+def test_a_link_is_where_and_turned_as_kinematics_say():
+    arm = Kinematics(RobotDescription.load(URDF), "payload")
+    with World(settings(fixed_base=True)) as world:
+        found = world.link_pose("payload")
+    wanted = arm.pose([HOME.get(joint, 0.0) for joint in arm.joints])
+    x, y, z, w = found.orientation
+    assert found.position == pytest.approx(wanted.position, abs=1e-6)
+    turn = pinocchio.Quaternion(w, x, y, z).matrix()
+    assert turn == pytest.approx(np.asarray(wanted.rotation), abs=1e-6)
 
 
 def test_a_robot_is_set_down_on_the_ground_wherever_its_root_is():
