@@ -7,11 +7,10 @@ have it, many at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, NamedTuple, TypeVar
-from weakref import WeakKeyDictionary
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,36 +86,23 @@ JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 class Layout:
     """Where the numbers of a message lie. Rows begin :data:`ENCAPSULATION` bytes before it."""
 
-    sample: bytes  # the message that it was learned from
+    size: int  # bytes of a message
     names: tuple[str, ...]  # joint names; empty if the type carries none
     order: str  # byte order, "<" or ">"
     stamp: int | None  # offset of the header's stamp; None if the type has none
     fields: Mapping[str, Doubles]  # doubles by field
     variable: tuple[tuple[int, int], ...]  # (offset, length) of the bytes that may differ
 
-    @property
-    def words(self) -> int:
-        """64-bit words of a row."""
-        return -(-(len(self.sample) + ENCAPSULATION) // WORD)
-
     @cached_property
     def mask(self) -> Words:
         """Bits of a row that all messages of the layout share, (words,)."""
-        mask = np.zeros(self.words * WORD, dtype=np.uint8)
-        mask[ENCAPSULATION : ENCAPSULATION + len(self.sample)] = 0xFF
+        mask = np.zeros(-(-(self.size + ENCAPSULATION) // WORD) * WORD, dtype=np.uint8)
+        mask[ENCAPSULATION : ENCAPSULATION + self.size] = 0xFF
         for offset, length in self.variable:
             mask[ENCAPSULATION + offset : ENCAPSULATION + offset + length] = 0
         return mask.view("<u8")
 
-    @cached_property
-    def values(self) -> Words:
-        """What these bits are, (words,)."""
-        row = np.zeros(self.words * WORD, dtype=np.uint8)
-        message = np.frombuffer(self.sample, dtype=np.uint8)
-        row[ENCAPSULATION : ENCAPSULATION + len(message)] = message
-        return row.view("<u8") & self.mask
-
-    def stamps_ns(self, rows: Words, which: Integers | slice) -> Integers:
+    def stamps_ns(self, rows: Words, which: Integers) -> Integers:
         """Return the header stamps of some rows of this layout, (n,), in [ns]."""
         if self.stamp is None:
             raise MessageError("messages of this type have no stamp")
@@ -204,7 +190,7 @@ def _layout(
 ) -> Layout:
     rest = (walker.offset, len(walker.raw) - walker.offset)  # padding after the last value
     variable = (*walker.variable, rest)
-    return Layout(bytes(walker.raw), names, walker.order, stamp, fields, variable)
+    return Layout(len(walker.raw), names, walker.order, stamp, fields, variable)
 
 
 LAYOUTS: Mapping[str, Callable[[bytes], Layout]] = {
@@ -216,188 +202,38 @@ LAYOUTS: Mapping[str, Callable[[bytes], Layout]] = {
 """How the layout of a type is learned; each raises MessageError for other bytes."""
 
 
-_Number = TypeVar("_Number", bound=np.generic)
-_FIRST_CAPACITY = 1 << 12
-_GROWTH = 1.2
-"""Small, because numpy fills what it adds with zeros; large arrays are moved, not copied."""
-
-
-class GrowingColumn(Generic[_Number]):
-    """Numbers of one type, appended many at once."""
-
-    def __init__(self, kind: type[_Number]) -> None:
-        self._numbers = np.empty(_FIRST_CAPACITY, kind)
-        self._length = 0
-
-    def __len__(self) -> int:
-        return self._length
-
-    def append(self, numbers: NDArray[Any]) -> None:
-        """Append numbers, (n,)."""
-        end = self._length + len(numbers)
-        if end > len(self._numbers):
-            capacity = max(end, int(len(self._numbers) * _GROWTH))
-            self._numbers.resize(capacity, refcheck=False)
-        self._numbers[self._length : end] = numbers
-        self._length = end
-
-    def finished(self) -> NDArray[_Number]:
-        """Return all numbers as one array of exactly their size; nothing may follow."""
-        self._numbers.resize(self._length, refcheck=False)
-        return self._numbers
-
-
-class DeltaColumn:
-    """Integers whose steps are mostly small, kept as steps of 16 or 32 bits."""
-
-    def __init__(self, kind: type[np.unsignedinteger]) -> None:
-        self._steps = GrowingColumn(kind)
-        self._limit = int(np.iinfo(kind).max)
-        self._large_places = GrowingColumn(np.int64)
-        self._large_steps = GrowingColumn(np.int64)
-        self._last: Integers = np.zeros(1, dtype=np.int64)
-
-    def __len__(self) -> int:
-        return len(self._steps)
-
-    def append(self, numbers: Integers) -> None:
-        """Append integers, (n,)."""
-        if not len(numbers):
-            return
-        steps = np.empty(len(numbers), dtype=np.int64)
-        np.subtract(numbers[:1], self._last, out=steps[:1])  # wraps, as the sum does
-        np.subtract(numbers[1:], numbers[:-1], out=steps[1:])
-        sizes = steps.view(np.uint64)  # of a negative step: beyond every limit
-        if sizes.max() > self._limit:
-            places = np.flatnonzero(sizes > self._limit)
-            large = steps[places]
-            self._large_places.append(places + len(self._steps))
-            self._large_steps.append(large)
-            steps[places] = 0
-        self._steps.append(steps)
-        self._last = numbers[-1:].copy()
-
-    def numbers(self) -> Integers:
-        """Return all integers, (n,)."""
-        steps = self._steps.finished().astype(np.int64)
-        steps[self._large_places.finished()] = self._large_steps.finished()
-        return np.cumsum(steps, out=steps)
-
-
-_ALL_BITS = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
-_MOST_LAYOUTS = 64
-"""Layouts that are remembered; a text that changes with every message makes one for each."""
-
-Mask = NDArray[np.bool_]
-
-
-class LayoutFamily:
-    """Layouts whose numbers lie at the same places, and whose names or frames differ.
-
-    The words that all of them share are compared once for all messages.
-    """
-
-    def __init__(self, first: Layout) -> None:
-        self.layouts: list[Layout] = []
-        self._mask = first.mask
-        self._words: list[int] = np.flatnonzero(first.mask).tolist()
-        self._shared: list[int] = []
-        self._differing: list[int] = []
-        self.add(first)
-
-    def accepts(self, layout: Layout) -> bool:
-        """Return whether a layout is of this family."""
-        return np.array_equal(layout.mask, self._mask) and layout.order == self.layouts[0].order
-
-    def add(self, layout: Layout) -> None:
-        if len(self.layouts) == _MOST_LAYOUTS:
-            self.layouts.clear()
-        self.layouts.append(layout)
-        first = self.layouts[0].values
-        is_shared = np.ones(len(first), dtype=np.bool_)
-        for each in self.layouts:
-            is_shared &= each.values == first
-        self._shared = [word for word in self._words if is_shared[word]]
-        self._differing = [word for word in self._words if not is_shared[word]]
-
-    def split(self, rows: Words) -> Iterator[tuple[Layout, Mask]]:
-        """Yield each layout that some rows have, and which these are."""
-        is_kin = self._equal(rows, self._shared, self.layouts[0], None)
-        for layout in self.layouts:
-            claims = self._equal(rows, self._differing, layout, is_kin)
-            if claims.any():
-                yield layout, claims
-
-    def _equal(self, rows: Words, words: list[int], layout: Layout, before: Mask | None) -> Mask:
-        is_equal = np.ones(len(rows), dtype=np.bool_) if before is None else before.copy()
-        for word in words:
-            column, mask = rows[:, word], self._mask[word]
-            is_equal &= (column if mask == _ALL_BITS else column & mask) == layout.values[word]
-        return is_equal
-
-
 class JointSamples(NamedTuple):
     """One joint's numbers in the order of the log."""
 
     stamps_ns: Integers | None  # [ns] header stamps, (n,); None if the messages carry none
-    log_times_ns: Integers | None  # [ns] receive times, (n,); None if they were not kept
-    places: Integers | None  # ascending with the order of the files, (n,); None if not kept
+    log_times_ns: Integers  # [ns] receive times, (n,)
+    places: Integers  # ascending with the order of the files, (n,)
     values: Numbers  # the numbers, (n,)
 
-    def picked(self, which: Integers | Mask) -> JointSamples:
-        stamps, log_times, places = (
-            None if part is None else part[which] for part in (self[0], self[1], self[2])
-        )
-        return JointSamples(stamps, log_times, places, self.values[which])
-
-
-def merged(parts: Sequence[JointSamples]) -> JointSamples:
-    """Join samples of several groups, in no order."""
-    clocks: list[Integers | None] = []
-    for clock in zip(*(part[:3] for part in parts), strict=True):
-        known = [times for times in clock if times is not None]
-        clocks.append(np.concatenate(known) if len(known) == len(parts) else None)
-    stamps, log_times, places = clocks
-    values = np.concatenate([part.values for part in parts])
-    return JointSamples(stamps, log_times, places, values)
-
-
-class OrderNeededError(Exception):
-    """The order of messages matters, but was not kept: read again, and keep it."""
+    def picked(self, which: Integers | NDArray[np.bool_]) -> JointSamples:
+        stamps_ns = None if self.stamps_ns is None else self.stamps_ns[which]
+        log_times_ns, places = self.log_times_ns[which], self.places[which]
+        return JointSamples(stamps_ns, log_times_ns, places, self.values[which])
 
 
 class _Group:
-    """Messages that carry numbers of the same joints."""
+    """Messages that carry numbers of the same joints, whose times these share."""
 
-    def __init__(self, joints: tuple[str, ...], has_stamps: bool, has_order: bool) -> None:
-        self._stamps = DeltaColumn(np.uint32) if has_stamps else None
-        self._log_times = DeltaColumn(np.uint32) if has_order else None
-        self._places = DeltaColumn(np.uint16) if has_order else None
-        self._last_place = -1
-        self.is_in_order = True
-        self.values = {joint: GrowingColumn(np.float64) for joint in joints}
-
-    def append(
-        self, layout: Layout, rows: Words, which: Integers | slice, batch: TopicBatch
-    ) -> None:
-        places = batch.places[which]
-        if places[0] < self._last_place:
-            self.is_in_order = False  # two layouts by turns
-        self._last_place = max(self._last_place, int(places[-1]))
-        if self._stamps is not None:
-            self._stamps.append(layout.stamps_ns(rows, which))
-        if self._log_times is not None and self._places is not None:
-            self._log_times.append(batch.log_times_ns[which])
-            self._places.append(places)
+    def __init__(self, joints: Iterable[str]) -> None:
+        self.times: list[tuple[Integers | None, Integers, Integers]] = []
+        self.values: dict[str, list[Numbers]] = {joint: [] for joint in joints}
 
     @cached_property
-    def clock(self) -> tuple[Integers | None, Integers | None, Integers | None]:
-        """Stamps, log times and places, shared by all joints of the group."""
-        stamps, log_times, places = (
-            None if column is None else column.numbers()
-            for column in (self._stamps, self._log_times, self._places)
-        )
-        return stamps, log_times, places
+    def clock(self) -> tuple[Integers | None, Integers, Integers]:
+        """Stamps, log times and places."""
+        stamps, log_times, places = zip(*self.times, strict=True)
+        self.times.clear()
+        return _joined(stamps), np.concatenate(log_times), np.concatenate(places)
+
+
+def _joined(parts: Sequence[Integers | None]) -> Integers | None:
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
 
 
 class JointStream:
@@ -409,19 +245,10 @@ class JointStream:
         field: str,
         joints: frozenset[str] | None = None,
         elements: Mapping[int, str] | None = None,
-        keeps_order: bool = True,
     ) -> None:
-        self._learn: Callable[[bytes], Layout] = LAYOUTS[type]
-        self._field = field
-        self._joints = joints
-        self._elements = elements
-        self._keeps_order = keeps_order
-        self._families: dict[int, list[LayoutFamily]] = {}
+        self._learn = LAYOUTS[type]
+        self._field, self._joints, self._elements = field, joints, elements
         self._groups: dict[tuple[str, ...], _Group] = {}
-        self._groups_of: dict[str, list[tuple[str, ...]]] = {}
-        self._last_log_time_ns = -(2**63)
-        self._is_log_ordered = True
-        self._columns_of: WeakKeyDictionary[Layout, Mapping[str, int]] = WeakKeyDictionary()
         self.names: dict[str, None] = {}
         self.message_count = 0
         self.undecodable = 0
@@ -430,53 +257,35 @@ class JointStream:
     def add(self, batch: TopicBatch) -> None:
         """Take the next messages of the topic."""
         self.message_count += len(batch.starts)
-        times = batch.log_times_ns
-        if times[0] < self._last_log_time_ns or (times[1:] < times[:-1]).any():
-            self._is_log_ordered = False
-            if not self._keeps_order:
-                raise OrderNeededError
-        self._last_log_time_ns = max(self._last_log_time_ns, int(times[-1]))
-        sizes = batch.sizes
-        left = sizes
-        while len(left):
-            size = int(left[0])
-            is_size = sizes == size
-            if is_size.all():
-                self._add_size(batch, size)
-                return
-            self._add_size(batch.picked(is_size), size)
-            left = left[left != size]
+        for size in np.unique(batch.sizes).tolist():
+            self._add_size(batch.picked(batch.sizes == size), size)
 
     def joints(self) -> frozenset[str]:
-        return frozenset(self._groups_of)
+        return frozenset(joint for group in self._groups.values() for joint in group.values)
 
     def take(self, joint: str) -> JointSamples | None:
         """Return one joint's samples and forget them; None if there are none."""
-        parts, is_in_order = [], self._is_log_ordered
-        for joints in self._groups_of.pop(joint, ()):
-            group = self._groups[joints]
-            parts.append(JointSamples(*group.clock, group.values.pop(joint).finished()))
-            is_in_order &= group.is_in_order
-            if not group.values:
-                del self._groups[joints]
+        parts = [
+            JointSamples(*group.clock, np.concatenate(group.values.pop(joint)))
+            for group in self._groups.values()
+            if joint in group.values
+        ]
+        self._groups = {joints: group for joints, group in self._groups.items() if group.values}
         if not parts:
             return None
-        if len(parts) == 1 and is_in_order:
-            return parts[0]
-        samples = merged(parts)
-        if samples.places is None or samples.log_times_ns is None:
-            raise OrderNeededError
-        return samples.picked(np.lexsort((samples.places, samples.log_times_ns)))
+        samples = parts[0]
+        if len(parts) > 1:
+            stamps, *rest = zip(*parts, strict=True)
+            samples = JointSamples(_joined(stamps), *map(np.concatenate, rest))
+        log_times, places = samples.log_times_ns, samples.places
+        if (log_times[1:] >= log_times[:-1]).all() and (places[1:] > places[:-1]).all():
+            return samples
+        return samples.picked(np.lexsort((places, log_times)))
 
     def _add_size(self, batch: TopicBatch, size: int) -> None:
         words = -(-(size + ENCAPSULATION) // WORD)
         rows = gather_words(batch.buffer, batch.starts - ENCAPSULATION, words)
-        families = self._families.setdefault(size, [])
         is_left = np.ones(len(rows), dtype=np.bool_)
-        for family in families:
-            for layout, claims in family.split(rows):
-                self._keep(layout, rows, np.flatnonzero(claims), batch)
-                is_left &= ~claims
         while is_left.any():
             left = np.flatnonzero(is_left)
             first = self._learned(batch, int(left[0]))
@@ -486,11 +295,10 @@ class JointStream:
             for which in _equal_rows(rows[left] & first.mask):
                 here = left[which]
                 own = first if here[0] == left[0] else self._learned(batch, int(here[0]))
-                if own is None or not np.array_equal(own.mask, first.mask):
-                    here = here[:1]  # the others may differ from it where the first's mask is zero
-                is_left[here] = False
-                if own is not None:
-                    _remember(own, families)
+                if own is None:
+                    is_left[here[0]] = False
+                elif np.array_equal(own.mask, first.mask):  # else its numbers lie elsewhere
+                    is_left[here] = False
                     self._keep(own, rows, here, batch)
 
     def _learned(self, batch: TopicBatch, index: int) -> Layout | None:
@@ -507,30 +315,14 @@ class JointStream:
         columns = self._columns(layout)
         if not columns:
             return
-        joints = tuple(columns)
-        group = self._groups.get(joints)
-        if group is None:
-            if not self._keeps_order and any(joint in self._groups_of for joint in joints):
-                raise OrderNeededError
-            group = _Group(joints, layout.stamp is not None, self._keeps_order)
-            self._groups[joints] = group
-            for joint in joints:
-                self._groups_of.setdefault(joint, []).append(joints)
-        picked: Integers | slice = slice(None) if len(which) == len(rows) else which
-        group.append(layout, rows, picked, batch)
-        if not (group.is_in_order or self._keeps_order):
-            raise OrderNeededError
+        group = self._groups.setdefault(tuple(columns), _Group(columns))
+        stamps = None if layout.stamp is None else layout.stamps_ns(rows, which)
+        group.times.append((stamps, batch.log_times_ns[which], batch.places[which]))
         for joint, index in columns.items():
-            group.values[joint].append(layout.column(rows, self._field, index)[picked])
+            group.values[joint].append(layout.column(rows, self._field, index)[which])
 
     def _columns(self, layout: Layout) -> Mapping[str, int]:
         """Return which wanted joint is at which place of the field."""
-        columns = self._columns_of.get(layout)
-        if columns is None:
-            columns = self._columns_of[layout] = self._find_columns(layout)
-        return columns
-
-    def _find_columns(self, layout: Layout) -> Mapping[str, int]:
         length = layout.fields[self._field].length if self._field in layout.fields else 0
         if self._elements is not None:
             return {j: element for element, j in self._elements.items() if element < length}
@@ -545,20 +337,19 @@ class JointStream:
         return columns
 
 
-def _remember(layout: Layout, families: list[LayoutFamily]) -> None:
-    for family in families:
-        if family.accepts(layout):
-            family.add(layout)
-            return
-    families.append(LayoutFamily(layout))
+_MULTIPLIER = np.uint64(0x9E37_79B9_7F4A_7C15)
 
 
 def _equal_rows(rows: Words) -> list[Integers]:
-    """Return which rows are equal to each other, the first one's first."""
-    is_first = (rows == rows[0]).all(axis=1)
-    if is_first.all():
-        return [np.flatnonzero(is_first)]
-    order = np.lexsort(rows.T)
-    is_new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
-    groups = np.split(order, np.flatnonzero(is_new) + 1)
+    """Return which rows are equal to each other, the first one's first.
+
+    Rows are sorted by a sum of their words; one that only shares it with others is left out.
+    """
+    weights = _MULTIPLIER ** np.arange(rows.shape[1], dtype=np.uint64)  # modulo 2^64
+    keys = rows @ weights
+    order = np.argsort(keys, kind="stable")
+    bounds = np.flatnonzero(np.diff(keys[order])) + 1
+    groups = [
+        group[(rows[group] == rows[group[0]]).all(axis=1)] for group in np.split(order, bounds)
+    ]
     return sorted(groups, key=lambda group: int(group[0]))

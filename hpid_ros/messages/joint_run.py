@@ -194,8 +194,6 @@ class _Span(NamedTuple):
 
 def setpoint_events(joint: str, setpoints: JointSamples) -> Iterator[ReferenceEvent]:
     """Yield setpoints as trajectories of one point that are taken at once."""
-    assert setpoints.log_times_ns is not None
-    assert setpoints.places is not None
     for log_time_ns, place, position in zip(
         setpoints.log_times_ns.tolist(),
         setpoints.places.tolist(),
@@ -209,8 +207,6 @@ def sample_setpoints(
     setpoints: JointSamples, states: LoggedStates, stamps_ns: Integers, first_position: float
 ) -> Numbers | None:
     """Return what :func:`sample_events` gives for setpoints alone, all at once."""
-    assert setpoints.log_times_ns is not None
-    assert setpoints.places is not None
     order = np.lexsort((setpoints.places, setpoints.log_times_ns))
     log_times, places = setpoints.log_times_ns[order], setpoints.places[order]
     following = np.searchsorted(states.log_times_ns, log_times)
@@ -444,9 +440,7 @@ class JointRun:
     def _unstamped(self, samples: JointSamples) -> Ordered:
         samples, not_finite = self._finite_efforts(samples)
         times, states = samples.log_times_ns, self._samples
-        assert times is not None
         if self._clock == "header":
-            assert states.log_times_ns is not None
             times = carried(times, states.log_times_ns, self._stamps_ns)
         return ordered(times, samples.values, not_finite)
 
@@ -562,8 +556,6 @@ class JointRun:
 
     def _logged_states(self) -> LoggedStates:
         samples = self._samples
-        assert samples.log_times_ns is not None
-        assert samples.places is not None
         return LoggedStates(samples.log_times_ns, samples.places, self._stamps_ns)
 
     def _on_clock(self, event: ReferenceEvent) -> ReferenceEvent:

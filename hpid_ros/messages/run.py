@@ -15,7 +15,6 @@ from hpid_ros.messages.columns import (
     JOINT_STATE,
     JointSamples,
     JointStream,
-    OrderNeededError,
 )
 from hpid_ros.messages.joint_run import JointRun, Window
 from hpid_ros.messages.joint_state import JointReader
@@ -106,13 +105,11 @@ def _recording(
     types = {name: info.type for name, info in topics.items()}
     joints = None if selection.joints is None else frozenset(selection.joints)
 
-    def collected(choice: TopicChoice, has_order: bool) -> RecordedRun:
-        recording = RecordedRun(choice, types, joints, has_order)
+    def collected(choice: TopicChoice) -> RecordedRun:
+        recording = RecordedRun(choice, types, joints)
         try:
             for batch in storage.batches(choice.all, progress):
                 recording.add(batch)
-        except OrderNeededError:
-            return collected(choice, True)
         except BagError as error:
             raise BagError(f"{where}: {error}") from error
         return recording
@@ -124,9 +121,9 @@ def _recording(
             raise BagError(
                 f"{where}: messages on {topic} are {encoding or 'of no encoding'}, but must be cdr"
             )
-    recording = collected(choice, selection.clock == "receive")
+    recording = collected(choice)
     if choice.may_be_measured and not recording.has_efforts():
-        recording = collected(choice.measured(), selection.clock == "receive")
+        recording = collected(choice.measured())
     _require_messages(where, recording)
     if choice.in_doubt and not (selection.commands or selection.command_topics):
         recording.notes.append(
@@ -271,7 +268,6 @@ class RecordedRun:
         choice: TopicChoice,
         types: Mapping[str, str],
         joints: frozenset[str] | None,
-        has_order: bool,
     ) -> None:
         self.choice = choice
         self.notes: list[str] = []
@@ -280,8 +276,7 @@ class RecordedRun:
             topic: JointStream(JOINT_STATE, "position", joints) for topic in choice.states
         }
         self.commands = {
-            topic: JointStream(types[topic], "effort", joints, keeps_order=has_order)
-            for topic in choice.commands
+            topic: JointStream(types[topic], "effort", joints) for topic in choice.commands
         }
         elements: dict[str, dict[int, str]] = {}
         for joint, (topic, element) in choice.command_topics.items():
