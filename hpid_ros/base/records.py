@@ -560,4 +560,4 @@ def _list(
     )
 
 
-_COUNTS = {2: "two", 3: "three", 4: "four", 6: "six"}
+_COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from hpid_ros.control.homogeneous_pid import HomogeneousPid, Pid, SemiImplicitHomogeneousPid
-from hpid_ros.control.limits import AntiWindup, LimitFigures, MotionLimits, anti_windup
+from hpid_ros.control.limits import AntiWindup, MotionBounds, MotionLimits, anti_windup
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
-from hpid_ros.control.reference import FeedforwardFigures
+from hpid_ros.control.reference import FeedforwardGains
 from hpid_ros.control.settings import (
     LARGEST_MOTION,
     EncoderSettings,
@@ -18,7 +18,7 @@ from hpid_ros.control.velocity import (
     FilteredVelocity,
     HomogeneousDifferentiator,
     MeasuredVelocity,
-    ObserverFigures,
+    ObserverDesign,
     Unwrapper,
     VelocitySource,
 )
@@ -49,30 +49,32 @@ def make_law(settings: LoopSettings) -> Pid | HomogeneousPid:
     )
 
 
-def observer_figures(settings: LoopSettings) -> ObserverFigures | None:
+def observer_design(settings: LoopSettings) -> ObserverDesign | None:
     """Return what the observer goes by; None where there is none, or the inertia is unknown."""
     inertia, wanted = settings.plant_inertia, settings.observer
     if settings.velocity.source != "observer" or not inertia:
         return None
     chosen = min(max(_OBSERVER_LEAD * settings.gains.d / inertia, _SLOWEST), _FASTEST)
-    return ObserverFigures(
-        inertia,
-        wanted.bandwidth or chosen,
-        settings.timing.control_period,
-        wanted.degree,
-        wanted.innovation_scale or settings.encoder.resolution or _INNOVATION_SCALE,
+    return ObserverDesign(
+        inertia=inertia,
+        bandwidth=wanted.bandwidth or chosen,
+        period=settings.timing.control_period,
+        degree=wanted.degree,
+        innovation_scale=(
+            wanted.innovation_scale or settings.encoder.resolution or _INNOVATION_SCALE
+        ),
     )
 
 
-def feedforward_figures(settings: LoopSettings) -> FeedforwardFigures:
+def feedforward_gains(settings: LoopSettings) -> FeedforwardGains:
     """Return what is fed forward. With a model, planned efforts are not: it contains them."""
     wanted = settings.feedforward
-    return FeedforwardFigures(
-        settings.inertia if wanted.inertia < 0.0 else wanted.inertia,
-        max(wanted.viscous_friction, 0.0),
-        max(wanted.coulomb_friction, 0.0),
-        wanted.friction_velocity,
-        wanted.trajectory_effort and not settings.model.is_on,
+    return FeedforwardGains(
+        inertia=settings.inertia if wanted.inertia < 0.0 else wanted.inertia,
+        viscous_friction=max(wanted.viscous_friction, 0.0),
+        coulomb_friction=max(wanted.coulomb_friction, 0.0),
+        friction_velocity=wanted.friction_velocity,
+        uses_planned_effort=wanted.trajectory_effort and not settings.model.is_on,
     )
 
 
@@ -118,16 +120,16 @@ def make_motion_limits(settings: LoopSettings) -> MotionLimits | None:
         return None
     k_position, k_velocity = soft_stop_gains(settings)
     return MotionLimits(
-        LimitFigures(
-            lower,
-            upper,
-            fastest,
-            motion.soft_stop.margin,
-            k_position,
-            k_velocity,
-            rate,
-            effort.u_clamp_min,
-            effort.u_clamp_max,
+        MotionBounds(
+            lower=lower,
+            upper=upper,
+            velocity=fastest,
+            margin=motion.soft_stop.margin,
+            k_position=k_position,
+            k_velocity=k_velocity,
+            rate=rate,
+            effort_min=effort.u_clamp_min,
+            effort_max=effort.u_clamp_max,
         )
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 
-from hpid_ros.control.assembly import make_velocity_source, observer_figures
+from hpid_ros.control.assembly import make_velocity_source, observer_design
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import FilteredVelocity, MeasuredVelocity, Observer, VelocitySource
 
@@ -20,7 +20,7 @@ class Estimation:
     """
 
     __slots__ = (
-        *("_fed_forward", "_observer", "_offset", "_fade_time", "_settings", "_source"),
+        *("_fed_forward", "_observer", "_position_offset", "_fade_time", "_settings", "_source"),
         *("position", "velocity"),
     )
 
@@ -30,11 +30,11 @@ class Estimation:
         self.reset()
 
     def _use_source(self) -> None:
-        figures = observer_figures(self._settings)
+        design = observer_design(self._settings)
         self._observer: Observer | None = None
         self._source: VelocitySource
-        if figures is not None:
-            self._source = self._observer = Observer(figures)
+        if design is not None:
+            self._source = self._observer = Observer(design)
         else:
             self._source = make_velocity_source(self._settings.velocity)
 
@@ -42,13 +42,13 @@ class Estimation:
         """Forget the past."""
         self._source.reset()
         self.position = self.velocity = 0.0
-        self._offset = self._fade_time = 0.0  # [rad] of a former observer, [s] to fade it
+        self._position_offset = self._fade_time = 0.0  # [rad] of a former observer, [s] to fade it
         self._fed_forward = 0.0  # [N m] of the last sample against the observer's disturbance
 
     def restart(self) -> None:
         """Forget the velocity's past; the effort fed forward stays."""
         self._source.reset()
-        self._offset = 0.0
+        self._position_offset = 0.0
 
     @property
     def has_observer(self) -> bool:
@@ -60,13 +60,13 @@ class Estimation:
     ) -> None:
         """Use other settings; what is estimated is carried over, with the effort now sent."""
         before, self._settings = self._settings, settings
-        figures = observer_figures(settings)
-        if figures is not None and self._observer is not None:
-            if figures != self._observer.figures:
+        design = observer_design(settings)
+        if design is not None and self._observer is not None:
+            if design != self._observer.design:
                 self.send(effort, gain)
-                self._observer.retune(figures)
+                self._observer.retune(design)
         elif (
-            figures is not None
+            design is not None
             or self._observer is not None
             or settings.velocity.in_use != before.velocity.in_use
         ):
@@ -75,12 +75,12 @@ class Estimation:
             if position is None:
                 return
             if self._observer is not None:
-                self._offset, position = 0.0, self.position
+                self._position_offset, position = 0.0, self.position
                 self.send(effort, gain)
             elif observed is not None:
-                self._offset = observed - position
+                self._position_offset = observed - position
                 self._fade_time = settings.timing.takeover_time
-            self._source.take_over(position, self.velocity)
+            self._source.start_from(position, self.velocity)
 
     def update_fed_effort(self, gain: float) -> float:
         """Compute the fed effort again with these settings; return the decrease in [N m]."""
@@ -95,16 +95,16 @@ class Estimation:
         if self._observer is not None:
             self._observer.send(effort + self._fed_forward / gain)
 
-    def coast(self, since: float) -> None:
+    def coast(self, dt: float) -> None:
         """Let the observer, if there is one, go on under the effort sent, without a sample."""
         if self._observer is not None:
-            self._observer.coast(since)
+            self._observer.coast(dt)
 
     def update(self, position: float, velocity: float | None, dt: float) -> None:
         """Take a sample."""
         observer = self._observer
         if observer is None:
-            self.position = position + self._fade(dt) if self._offset else position
+            self.position = position + self._fade(dt) if self._position_offset else position
             self.velocity = self._source.update(position, velocity, dt)
             return
         observer.update(position, None, dt)
@@ -124,9 +124,9 @@ class Estimation:
     def _fade(self, dt: float) -> float:
         """Return what is left of the distance by which an observer was off, in [rad]."""
         left = max(self._fade_time - dt, 0.0)
-        self._offset *= left / self._fade_time if self._fade_time else 0.0
+        self._position_offset *= left / self._fade_time if self._fade_time else 0.0
         self._fade_time = left
-        return self._offset
+        return self._position_offset
 
     def copy_of_source(self) -> VelocitySource:
         """Return a copy of the velocity source with its past."""
@@ -143,7 +143,7 @@ class Estimation:
             return self._source
         # An observer knows the efforts of the loop, not those of the stop.
         source = FilteredVelocity(self._settings.velocity.filter_time_constant)
-        source.take_over(position, self.velocity)
+        source.start_from(position, self.velocity)
         return source
 
     def observer_state(self, gain: float) -> tuple[float, float, float] | None:

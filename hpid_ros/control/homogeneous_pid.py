@@ -167,7 +167,7 @@ class HomogeneousPid(Pid):
         gains: The gains of the PID that it upgrades.
         norm: A homogeneous norm; its degree is the law's.
         norm_floor: Lower bound of the norm, see
-            :func:`~hpid_ros.control.norms.norm_floor`. Zero gives the paper's law exactly.
+            :func:`~hpid_ros.control.norms.sampling_floor`. Zero gives the paper's law exactly.
         norm_cap: Upper bound of the norm.
 
     Raises:

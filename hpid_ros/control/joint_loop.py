@@ -11,7 +11,7 @@ from typing import NamedTuple
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.assembly import (
-    feedforward_figures,
+    feedforward_gains,
     largest_step,
     make_unwrapper,
     turn_of_references,
@@ -130,7 +130,7 @@ class JointLoop:
         self._following = Following()
         self._estimation = Estimation(settings)
         self._law = LimitedLaw(settings)
-        self._feedforward = Feedforward(feedforward_figures(settings))
+        self._feedforward = Feedforward(feedforward_gains(settings))
         self._unwrapper = make_unwrapper(settings.encoder)
         self._clock = LoopClock(self.counts)
         self._adopt(settings)
@@ -222,7 +222,7 @@ class JointLoop:
         if less := estimation.update_fed_effort(law.gain):
             law.absorb_model_effort(less)
         change = self._feedforward.retune(
-            feedforward_figures(settings), following.velocity, following.acceleration
+            feedforward_gains(settings), following.velocity, following.acceleration
         )
         if settings.encoder.wrap != before.encoder.wrap:
             if self._unwrapper is None:
@@ -248,8 +248,10 @@ class JointLoop:
         self._clock.restart()
         self._position = 0.0
         self._state = LoopState.WAITING
-        self._is_takeover_due = False
-        self._before_gap: Snapshot | None = None
+        # What the next usable state has to settle:
+        self._is_takeover_due = False  # the loop starts again from where the joint is
+        self._before_gap: Snapshot | None = None  # what was, should the gap's stamp be wrong
+        # stamp and position [rad] of a state that the joint cannot have reached; the next decides
         self._outlier: tuple[int, float] | None = None
 
     def release(self) -> None:
@@ -363,36 +365,38 @@ class JointLoop:
             return self.reject(stamp_ns, reason)
         if self._before_gap is not None:
             before_ns = self._settle_gap(stamp_ns)
-        since = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
-        is_next = 0.0 < since <= timing.state_timeout
+        interval = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
+        is_next = 0.0 < interval <= timing.state_timeout
         if not is_next:
-            self._interrupt(since)
+            self._interrupt(interval)
         if self._unwrapper is not None:
             position = self._unwrapper.update(position)
             if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
                 return self.reject(stamp_ns, f"position {position} rad with its turns")
-        allowed = self._step_max + self._speed_max * since
+        allowed = self._step_max + self._speed_max * interval
         if is_next and abs(position - self._position) > allowed:
-            held = self._check_jump(stamp_ns, position, since)
+            held = self._check_jump(stamp_ns, position, interval)
             if held is not None:
                 return held
-        elapsed = dt = since if is_next else 0.0
+        integrated = dt = interval if is_next else 0.0
         if clock.unusable_ns is not None:
             self._outlier = None
-            elapsed = min(dt, timing.control_period)  # what was not seen is not integrated
+            integrated = min(dt, timing.control_period)  # what was not seen is not integrated
         self._position = position
         is_takeover = False
         if self._is_takeover_due or not self._following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
         try:
-            effort = self._update(stamp_ns, position, velocity, dt, elapsed, model, is_takeover)
+            effort = self._update(
+                stamp_ns, position, velocity, model, dt, integrated, is_takeover=is_takeover
+            )
         except ArithmeticError as fault:
             self.last_fault = str(fault)
             self._skip(stamp_ns)
             return self._fault()
         is_holding = self._following.motion is None
         self._state = LoopState.HOLDING if is_holding else LoopState.FOLLOWING
-        clock.take(stamp_ns, since, timing)
+        clock.take(stamp_ns, interval, timing)
         self.counts.samples += 1
         self.counts.saturated += law.is_saturated
         return effort
@@ -402,12 +406,17 @@ class JointLoop:
         stamp_ns: int,
         position: float,
         velocity: float | None,
-        dt: float,
-        elapsed: float,
         model: ModelTerm | None,
+        dt: float,
+        integrated: float,
+        *,
         is_takeover: bool,
     ) -> float:
-        """Answer a state that counts: estimation, reference, feedforward, law."""
+        """Answer a state that counts: estimation, reference, feedforward, law.
+
+        ``dt`` is the time since the last state, 0 where that is not known; ``integrated`` the
+        part of it over which the error is integrated.
+        """
         law, following, estimation = self._law, self._following, self._estimation
         if estimation.has_observer:
             estimation.send(law.driving_effort, law.gain)
@@ -419,15 +428,22 @@ class JointLoop:
         wanted, rate, acceleration = following.sample(stamp_ns, self._takeover_time, law.limits)
         if rate and law.relay is not None:
             law.relay.end("the reference moves")
-        ahead = 0.0
+        feedforward = 0.0
         if self._feedforward.is_active or following.gives_effort:
-            ahead = self._feed_forward(stamp_ns, is_takeover=is_takeover)
+            feedforward = self._feed_forward(stamp_ns, is_takeover=is_takeover)
         if is_takeover:
-            law.take_over(model, acceleration, ahead, keeps_damping=dt > 0.0)
+            law.restart(model, acceleration, feedforward, keeps_damping=dt > 0.0)
         self.error = error = wanted - estimation.position
         try:
             return law.update(
-                error, rate - speed, position, speed, elapsed, model, acceleration, ahead
+                error,
+                rate - speed,
+                position,
+                speed,
+                integrated,
+                model=model,
+                acceleration=acceleration,
+                feedforward=feedforward,
             )
         except ArithmeticError:
             estimation.restart()
@@ -474,10 +490,10 @@ class JointLoop:
         clock = self._clock
         if clock.stamp_ns is not None:
             last_ns = clock.stamp_ns if clock.unusable_ns is None else clock.unusable_ns
-            since = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
-            if 0.0 < since <= self._timing.state_timeout:
+            interval = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
+            if 0.0 < interval <= self._timing.state_timeout:
                 self._estimation.send(self._law.driving_effort, self._law.gain)
-                self._estimation.coast(since)
+                self._estimation.coast(interval)
         clock.skip(stamp_ns)
 
     def _fault(self) -> float:
@@ -487,14 +503,14 @@ class JointLoop:
         self._law.override_effort(self.settings.effort.fallback)
         return self._law.effort
 
-    def _interrupt(self, dt: float) -> None:
+    def _interrupt(self, interval: float) -> None:
         """Handle a first state, a clock that went back (reset), or a gap (takeover)."""
-        if dt < 0.0:
-            self.last_fault = f"the stamp went back by {-dt:g} s"
+        if interval < 0.0:
+            self.last_fault = f"the stamp went back by {-interval:g} s"
             self.counts.resets += 1
             self.reset()
-        elif dt > 0.0:
-            self.last_fault = f"no usable state for {dt:g} s by the stamps"
+        elif interval > 0.0:
+            self.last_fault = f"no usable state for {interval:g} s by the stamps"
             last_ns = self._clock.stamp_ns
             assert last_ns is not None
             self._before_gap = Snapshot(
@@ -518,20 +534,20 @@ class JointLoop:
         last_ns = self._clock.stamp_ns
         assert before is not None
         assert last_ns is not None
-        since = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
-        if stamp_ns > last_ns or not 0.0 <= since <= self._timing.state_timeout:
+        interval = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
+        if stamp_ns > last_ns or not 0.0 <= interval <= self._timing.state_timeout:
             return last_ns
         newest, self._following = self._following.motion, before.following
         if newest is not before.following.motion:
             self._following.follow(newest)
-        if self.settings is before.settings:  # else the source is another, or of other figures
+        if self.settings is before.settings:  # else the source is another, or its parameters are
             self._estimation.restore_source(before.velocity)
             self._feedforward = before.feedforward
         self._law.restore_integral(before.integral)
         self.counts.takeovers = before.takeovers
         return before.stamp_ns
 
-    def _check_jump(self, stamp_ns: int, position: float, dt: float) -> float | None:
+    def _check_jump(self, stamp_ns: int, position: float, interval: float) -> float | None:
         """Answer a state whose position is where no joint can have come to, or believe it.
 
         The first one is passed over: the active effort stays. The second is believed, as a
@@ -541,13 +557,14 @@ class JointLoop:
             return None
         first, self._outlier = self._outlier, (stamp_ns, position)
         if first is not None:
-            since = (stamp_ns - first[0]) * SECONDS_PER_NANOSECOND
-            allowed = self._step_max + self._speed_max * since
-            if since > 0.0 and abs(position - first[1]) <= allowed:
+            apart = (stamp_ns - first[0]) * SECONDS_PER_NANOSECOND
+            allowed = self._step_max + self._speed_max * apart
+            if apart > 0.0 and abs(position - first[1]) <= allowed:
                 self._is_takeover_due = True
                 return None
         self.counts.jumps += 1
-        step = f"the position jumped by {abs(position - self._position):g} rad in {dt:g} s"
+        jump = abs(position - self._position)
+        step = f"the position jumped by {jump:g} rad in {interval:g} s"
         if first is not None:
             return self.reject(stamp_ns, step)
         self.last_fault = step

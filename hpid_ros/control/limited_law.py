@@ -35,17 +35,17 @@ class LimitedLaw:
     """The law of one joint with model term, relay, limits and anti-windup."""
 
     __slots__ = (
-        "_ahead",
         "_anti_windup",
         "_clamp",
         "_damping",
+        "_feedforward",
         "_gain",
         "_has_integral",
         "_integral_clamp",
         "_is_external",
         "_law",
         "_model_effort",
-        "_offset",
+        "_model_offset",
         "effort",
         "is_saturated",
         "limits",
@@ -101,7 +101,7 @@ class LimitedLaw:
         limits = make_motion_limits(settings)
         effort = settings.effort.within(self.effort)
         if limits is not None and motion is not None:
-            limits.take_over(self.limits, motion[0])
+            limits.replace(self.limits, motion[0])
             effort = limits.limit(effort, *motion, before=effort, dt=0.0)
         self._adopt(settings, limits)
         self._law = law
@@ -115,7 +115,7 @@ class LimitedLaw:
     @property
     def driving_effort(self) -> float:
         """The active effort without the model's own, in the law's units."""
-        return (self.effort - self._offset) / self._gain
+        return (self.effort - self._model_offset) / self._gain
 
     def absorb_model_effort(self, effort: float) -> None:
         """Let the integral term give what a model's effort has given until now."""
@@ -123,7 +123,7 @@ class LimitedLaw:
         integral = self._law.integral + effort / self._gain
         self._law.restore_integral(min(max(integral, least), most))
         self._model_effort -= effort
-        self._offset -= effort
+        self._model_offset -= effort
 
     def absorb_added_effort(self, effort: float) -> float:
         """Reduce the integral by an effort added elsewhere; return what it could not take."""
@@ -142,13 +142,13 @@ class LimitedLaw:
         """Forget the integral, and be without effort."""
         self._law.reset()
         self.override_effort(0.0)
-        self._gain, self._model_effort, self._offset, self._ahead = 1.0, 0.0, 0.0, 0.0
+        self._gain, self._model_effort, self._model_offset, self._feedforward = 1.0, 0.0, 0.0, 0.0
 
-    def take_over(
+    def restart(
         self,
         model: ModelTerm | None,
         acceleration: float,
-        ahead: float = 0.0,
+        feedforward: float = 0.0,
         *,
         keeps_damping: bool,
     ) -> None:
@@ -157,9 +157,9 @@ class LimitedLaw:
         integral = self.effort
         if keeps_damping and not self._is_external:
             terms = self.terms
-            rest = terms.p + terms.i + self._model_effort + self._ahead
+            rest = terms.p + terms.i + self._model_effort + self._feedforward
             integral = min(max(rest, least), most)
-        integral -= ahead
+        integral -= feedforward
         if model is not None:
             integral = (integral - model.effort) / model.gain
             if model.follows_acceleration:
@@ -175,11 +175,12 @@ class LimitedLaw:
         position: float,
         velocity: float,
         dt: float,
+        *,
         model: ModelTerm | None = None,
         acceleration: float = 0.0,
-        ahead: float = 0.0,
+        feedforward: float = 0.0,
     ) -> float:
-        """Take one sample."""
+        """Take one sample; acceleration is the reference's, feedforward an effort to add."""
         law = self._law
         before = law.integral
         gain = 1.0
@@ -189,14 +190,14 @@ class LimitedLaw:
             wanted = math.inf
         if model is not None:
             self._gain = gain = model.gain
-            self._offset = added = model.effort
+            self._model_offset = added = model.effort
             if model.follows_acceleration:
                 added += gain * acceleration
             self._model_effort = added
             wanted = gain * wanted + added
-        self._ahead = ahead
-        if ahead:
-            wanted += ahead
+        self._feedforward = feedforward
+        if feedforward:
+            wanted += feedforward
         if self.relay is not None:
             terms = law.terms
             wanted += self.relay.update(error, error_rate, gain * (terms.p + terms.d), dt)
@@ -229,12 +230,12 @@ class LimitedLaw:
     ) -> DampingStop:
         """Return what damps the joint from now on in this law's place."""
         return DampingStop(
-            self._gain * self._damping,
-            velocity,
-            uses_velocity,
-            self.limits,
-            self._clamp,
-            self.effort,
-            stamp_ns or 0,
-            duration,
+            damping=self._gain * self._damping,
+            velocity=velocity,
+            uses_velocity=uses_velocity,
+            limits=self.limits,
+            clamp=self._clamp,
+            effort=self.effort,
+            stamp_ns=stamp_ns or 0,
+            duration=duration,
         )

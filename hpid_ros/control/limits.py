@@ -13,7 +13,7 @@ AntiWindupStrategy = Literal["none", "conditional_integration", "back_calculatio
 """What the integral does while the effort is limited, as in control_toolbox."""
 
 
-class LimitFigures(NamedTuple):
+class MotionBounds(NamedTuple):
     """The numbers of a joint's limits; "per rad" reads "per m" where it is prismatic."""
 
     lower: float  # [rad] lowest position; -inf for none
@@ -52,25 +52,25 @@ class MotionLimits:
     the effort at rest is limited everywhere, also far from any stop; here it is not.
     """
 
-    __slots__ = ("_figures", "_high", "_low", "_width", "braked")
+    __slots__ = ("_bounds", "_high", "_low", "_width", "braked")
 
-    def __init__(self, figures: LimitFigures) -> None:
-        self._figures = figures
-        self._width = min(figures.k_position * figures.margin, 0.1 * figures.velocity)
-        self._low, self._high = figures.lower, figures.upper
+    def __init__(self, bounds: MotionBounds) -> None:
+        self._bounds = bounds
+        self._width = min(bounds.k_position * bounds.margin, 0.1 * bounds.velocity)
+        self._low, self._high = bounds.lower, bounds.upper
         self.braked = 0
         """Samples in which a stop or a velocity limit braked the joint."""
 
     def open(self, position: float) -> None:
         """Take the stops where the joint is, if it is beyond them."""
-        self._low = min(self._figures.lower, position)
-        self._high = max(self._figures.upper, position)
+        self._low = min(self._bounds.lower, position)
+        self._high = max(self._bounds.upper, position)
 
-    def take_over(self, before: MotionLimits | None, position: float) -> None:
-        """Come into force while the joint moves."""
+    def replace(self, before: MotionLimits | None, position: float) -> None:
+        """Take the place of other limits, or of none, while the joint moves."""
         if before is not None:
             self.braked = before.braked
-            if before._figures[:2] == self._figures[:2]:
+            if before._bounds[:2] == self._bounds[:2]:
                 self._low, self._high = before._low, before._high
                 return
         self.open(position)
@@ -87,8 +87,8 @@ class MotionLimits:
         self, wanted: float, position: float, velocity: float, before: float, dt: float
     ) -> float:
         """Return the effort that may be given."""
-        figures, width = self._figures, self._width
-        _, _, fastest, _, k, damping, rate, least, most = figures
+        bounds, width = self._bounds, self._width
+        _, _, fastest, _, k, damping, rate, least, most = bounds
         effort = min(max(wanted, least), most)
         self._follow_inwards(position)
         up = min(max(k * (self._high - position), -fastest), fastest) - velocity
@@ -111,11 +111,11 @@ class MotionLimits:
 
     def _follow_inwards(self, position: float) -> None:
         """Bring a stop that was taken further out back to where it belongs."""
-        figures = self._figures
-        if self._high > figures.upper and position < self._high:
-            self._high = max(position, figures.upper)
-        if self._low < figures.lower and position > self._low:
-            self._low = min(position, figures.lower)
+        bounds = self._bounds
+        if self._high > bounds.upper and position < self._high:
+            self._high = max(position, bounds.upper)
+        if self._low < bounds.lower and position > self._low:
+            self._low = min(position, bounds.lower)
 
 
 AntiWindup = Callable[[float, float, float, float, float, float], float]

@@ -234,7 +234,7 @@ def require_floor(floor: float, cap: float) -> None:
         )
 
 
-def norm_floor(
+def sampling_floor(
     norm: WeightedNorm | CanonicalNorm,
     *,
     period: float,

@@ -1,7 +1,8 @@
 r"""Overrides of the law: a damping stop, and a relay test in place of the p and d terms.
 
-A joint with little friction is a double integrator, which no relay on the error alone makes
-oscillate as it should: the cycle grows. So the relay acts on
+The damping stop answers states in the loop's place while a joint is left; the relay test is part
+of the law's sum. A joint with little friction is a double integrator, which no relay on the error
+alone makes oscillate as it should: the cycle grows. So the relay acts on
 
 .. math:: s = \epsilon + T \dot\epsilon, \qquad T = k_d / k_p
 
@@ -42,14 +43,15 @@ class DampingStop:
 
     def __init__(
         self,
-        damping: float,
+        *,
+        damping: float,  # [N m s/rad]
         velocity: VelocitySource,
-        uses_velocity: bool,
+        uses_velocity: bool,  # whether the measured velocity of a state is used
         limits: MotionLimits | None,
-        clamp: tuple[float, float],
-        effort: float,
+        clamp: tuple[float, float],  # [N m] effort limits where there are no others
+        effort: float,  # [N m] the active one
         stamp_ns: int,
-        duration: float,
+        duration: float,  # [s]
     ) -> None:
         self._damping, self._velocity, self._limits = damping, velocity, limits
         self._uses_velocity = uses_velocity

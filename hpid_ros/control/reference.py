@@ -12,7 +12,7 @@ from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.limits import MotionLimits
 
 
-class FeedforwardFigures(NamedTuple):
+class FeedforwardGains(NamedTuple):
     r"""What is fed forward.
 
     .. math:: \tau = J \ddot r + b \dot r + c\,\mathrm{sat}(\dot r / v) + \tau_r
@@ -42,7 +42,7 @@ class FeedforwardFigures(NamedTuple):
 
 
 class Feedforward:
-    """Feeds forward what the figures say, and keeps its changes from becoming jumps.
+    """Feeds the effort of a reference forward, and keeps its changes from becoming jumps.
 
     Where another motion, or a parameter, changes the effort although the reference does not, the
     loop's integral takes the difference; what it cannot take is kept here, and fades.
@@ -52,14 +52,14 @@ class Feedforward:
         "_fade_begin_ns",
         "_fade_end_ns",
         "_fading",
-        "_figures",
+        "_gains",
         "_last",
         "effort",
         "is_active",
     )
 
-    def __init__(self, figures: FeedforwardFigures) -> None:
-        self._figures = figures
+    def __init__(self, gains: FeedforwardGains) -> None:
+        self._gains = gains
         self.reset()
 
     def reset(self) -> None:
@@ -70,23 +70,23 @@ class Feedforward:
         self._settle()
 
     def _settle(self) -> None:
-        self.is_active = bool(self._figures.is_model_based or self._last[2] or self._fading)
+        self.is_active = bool(self._gains.is_model_based or self._last[2] or self._fading)
 
     def update(self, stamp_ns: int, velocity: float, acceleration: float, planned: float) -> float:
         """Take a sample of the reference and return its effort in [N m]."""
         self._last = velocity, acceleration, planned
-        effort = self._effort_by(self._figures)
+        effort = self._effort_by(self._gains)
         if self._fading:
             effort += self._fading_effort(stamp_ns)
         self.effort = effort
         self._settle()
         return effort
 
-    def _effort_by(self, figures: FeedforwardFigures) -> float:
-        """Return what figures make of the last sample, in [N m]."""
+    def _effort_by(self, gains: FeedforwardGains) -> float:
+        """Return what gains make of the last sample, in [N m]."""
         velocity, acceleration, planned = self._last
-        effort = figures.effort(velocity, acceleration)
-        return effort + planned if figures.uses_planned_effort else effort
+        effort = gains.effort(velocity, acceleration)
+        return effort + planned if gains.uses_planned_effort else effort
 
     def _fading_effort(self, stamp_ns: int) -> float:
         """Return what is left of what was kept."""
@@ -98,13 +98,13 @@ class Feedforward:
 
     def change_by(self, planned: float) -> float:
         """Return by how much another motion changes the effort at the same reference, in [N m]."""
-        return planned - self._last[2] if self._figures.uses_planned_effort else 0.0
+        return planned - self._last[2] if self._gains.uses_planned_effort else 0.0
 
-    def retune(self, figures: FeedforwardFigures, velocity: float, acceleration: float) -> float:
-        """Go by other figures, and return by how much that changes the effort, in [N m]."""
+    def retune(self, gains: FeedforwardGains, velocity: float, acceleration: float) -> float:
+        """Go by other gains, and return by how much that changes the effort, in [N m]."""
         self._last = velocity, acceleration, self._last[2]
-        change = self._effort_by(figures) - self._effort_by(self._figures)
-        self._figures = figures
+        change = self._effort_by(gains) - self._effort_by(self._gains)
+        self._gains = gains
         self.effort += change
         self._settle()
         return change

@@ -24,7 +24,13 @@ from hpid_ros.base.records import (
 )
 from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
 from hpid_ros.control.limits import AntiWindupStrategy
-from hpid_ros.control.norms import NormFamily, NormType, norm_floor, require_degree, require_floor
+from hpid_ros.control.norms import (
+    NormFamily,
+    NormType,
+    require_degree,
+    require_floor,
+    sampling_floor,
+)
 from hpid_ros.control.velocity import LARGEST_DEGREE, LEAST_DEGREE
 
 LawName = Literal["hpid", "pid"]
@@ -95,6 +101,8 @@ class NormSettings(Record, prefix="norm."):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.floor < 0.0 and self.floor != -1.0:
+            raise SettingError(f"norm.floor must be -1 or at least 0, not {self.floor:g}")
         for name in ("error_scale", "rate_weight") if self.effort_scale else ():
             value, default = getattr(self, name), PARAMETERS[f"norm.{name}"].default
             if value != default:
@@ -318,7 +326,7 @@ class EncoderSettings(Record):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if 0.0 < self.wrap < LEAST_WRAP:
+        if self.wrap < LEAST_WRAP and self.wrap not in (0.0, -1.0):
             raise SettingError(
                 f"encoder_wrap must be 0, -1 or at least {LEAST_WRAP:g}, not {self.wrap:g}"
             )
@@ -695,7 +703,7 @@ class LoopSettings(Record):
         """
         if self.norm.floor >= 0.0:
             return self.norm.floor
-        return norm_floor(
+        return sampling_floor(
             self.norm_family(self.degree),
             period=self.timing.control_period,
             derivative_gain=self.gains.d / (self.plant_inertia or 1.0),

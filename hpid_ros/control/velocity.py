@@ -69,7 +69,7 @@ class VelocitySource(Protocol):
     def update(self, position: float, velocity: float | None, dt: float) -> float:
         """Return the velocity in [rad/s] at this sample."""
 
-    def take_over(self, position: float, velocity: float) -> None:
+    def start_from(self, position: float, velocity: float) -> None:
         """Go on from where another source stands."""
 
     def reset(self) -> None:
@@ -105,7 +105,7 @@ class FilteredVelocity:
         self._position = position
         return self._velocity
 
-    def take_over(self, position: float, velocity: float) -> None:
+    def start_from(self, position: float, velocity: float) -> None:
         """Go on from a position in [rad] and a velocity in [rad/s]."""
         self._position, self._velocity = position, velocity
 
@@ -144,9 +144,9 @@ class MeasuredVelocity:
         self.is_reported = velocity is not None
         return estimate if velocity is None else velocity
 
-    def take_over(self, position: float, velocity: float) -> None:
+    def start_from(self, position: float, velocity: float) -> None:
         """Let the estimate go on from a position in [rad] and a velocity in [rad/s]."""
-        self._fallback.take_over(position, velocity)
+        self._fallback.start_from(position, velocity)
 
     def reset(self) -> None:
         """Forget the past of the estimate."""
@@ -211,7 +211,7 @@ class HomogeneousDifferentiator:
             self._position = position + math.copysign(root * root, ahead)
         return self._velocity
 
-    def take_over(self, position: float, velocity: float) -> None:
+    def start_from(self, position: float, velocity: float) -> None:
         """Go on from a position in [rad] and a velocity in [rad/s]."""
         self._position, self._velocity = position, velocity
 
@@ -228,7 +228,7 @@ _LEAST_MEMORY = 1e-3  # of what is kept from one sample to the next, however lon
 _SPAN = 4.0  # by which the degree may raise or lower the bandwidth
 
 
-class ObserverFigures(NamedTuple):
+class ObserverDesign(NamedTuple):
     """What an observer goes by."""
 
     inertia: float  # [kg m^2] what one unit of effort accelerates, positive
@@ -270,7 +270,7 @@ class Observer:
         "_acceleration",
         "_coasted",
         "_covariance",
-        "_figures",
+        "_design",
         "_has_begun",
         "_innovation",
         "disturbance",
@@ -286,35 +286,35 @@ class Observer:
     _coasted: float
     _has_begun: bool
 
-    def __init__(self, figures: ObserverFigures) -> None:
-        _check(figures)
-        self._figures = figures
+    def __init__(self, design: ObserverDesign) -> None:
+        _check(design)
+        self._design = design
         self._acceleration = 0.0
         self.reset()
 
     @property
-    def figures(self) -> ObserverFigures:
+    def design(self) -> ObserverDesign:
         """What it goes by."""
-        return self._figures
+        return self._design
 
     @property
     def effort(self) -> float:
         """The disturbance as an effort on the inertia, in [N m]; positive drives the joint up."""
-        return self._figures.inertia * self.disturbance
+        return self._design.inertia * self.disturbance
 
-    def retune(self, figures: ObserverFigures) -> None:
-        """Go by other figures from the next sample on; the estimates stay."""
-        _check(figures)
+    def retune(self, design: ObserverDesign) -> None:
+        """Go by another design from the next sample on; the estimates stay."""
+        _check(design)
         # The effort sent gives another acceleration, and the joint moves on as before.
         before = self._acceleration
-        self._acceleration *= self._figures.inertia / figures.inertia
+        self._acceleration *= self._design.inertia / design.inertia
         self.disturbance += before - self._acceleration
-        self._figures = figures
+        self._design = design
         self._restart_covariance()
 
     def send(self, effort: float) -> None:
         """Note what acts on the joint from the last sample on."""
-        self._acceleration = effort / self._figures.inertia
+        self._acceleration = effort / self._design.inertia
 
     def coast(self, dt: float) -> None:
         """Go on without a measurement, under the effort sent."""
@@ -330,7 +330,7 @@ class Observer:
     def update(self, position: float, velocity: float | None, dt: float) -> float:
         """Return the velocity in [rad/s]; the measured one is not used."""
         if not self._has_begun:
-            self.take_over(position, self.velocity)
+            self.start_from(position, self.velocity)
             return self.velocity
         if dt <= 0.0:
             return self.velocity
@@ -338,7 +338,7 @@ class Observer:
         self._coasted = 0.0
         innovation = position - self.position
         k_position, k_velocity, k_disturbance = self._gains(innovation, dt)
-        bandwidth = self._figures.bandwidth
+        bandwidth = self._design.bandwidth
         self.position += k_position * innovation
         self.velocity += k_velocity * bandwidth * innovation
         self.disturbance += k_disturbance * bandwidth * bandwidth * innovation
@@ -349,8 +349,8 @@ class Observer:
 
         Both are in units of the bandwidth: of position, velocity / w and disturbance / w^2.
         """
-        t = self._figures.bandwidth * dt
-        fading = t * self._multiplier(innovation, t) if self._figures.degree else t
+        t = self._design.bandwidth * dt
+        fading = t * self._multiplier(innovation, t) if self._design.degree else t
         growth = 1.0 / max(math.exp(-fading), _LEAST_MEMORY)
         xx, xv, xw, vv, vw, ww = self._covariance
         half = 0.5 * t * t
@@ -373,16 +373,16 @@ class Observer:
 
     def _restart_covariance(self) -> None:
         """Begin with what endless sampling at the nominal period ends at."""
-        self._covariance = _stationary(self._figures.bandwidth * self._figures.period)
+        self._covariance = _stationary(self._design.bandwidth * self._design.period)
 
     def _multiplier(self, innovation: float, t: float) -> float:
         """Return what the degree makes of the bandwidth, by the prefiltered innovation."""
         self._innovation += t / (1.0 + t) * (innovation - self._innovation)
-        _, _, _, degree, scale = self._figures
+        _, _, _, degree, scale = self._design
         size = min(max(abs(self._innovation) / scale, 1e-30), 1e30)
         return min(max(float(size**degree), 1.0 / _SPAN), _SPAN)
 
-    def take_over(self, position: float, velocity: float) -> None:
+    def start_from(self, position: float, velocity: float) -> None:
         """Go on from where another source stands, as if all that acts were in balance."""
         self.position, self.velocity = position, velocity
         self.disturbance = -self._acceleration
@@ -396,15 +396,15 @@ class Observer:
         self._restart_covariance()
 
 
-def _check(figures: ObserverFigures) -> None:
+def _check(design: ObserverDesign) -> None:
     for name in ("inertia", "bandwidth", "period", "innovation_scale"):
-        value = getattr(figures, name)
+        value = getattr(design, name)
         if not (math.isfinite(value) and value > 0.0):
             raise SettingError(f"the observer's {name} must be positive and finite, not {value}")
-    if not LEAST_DEGREE <= figures.degree <= LARGEST_DEGREE:
+    if not LEAST_DEGREE <= design.degree <= LARGEST_DEGREE:
         raise SettingError(
             f"the observer's degree must lie in [{LEAST_DEGREE:g}, {LARGEST_DEGREE:g}], "
-            f"not {figures.degree}"
+            f"not {design.degree}"
         )
 
 

@@ -96,7 +96,7 @@ class RobotStates:
             self._velocities = [make_velocity_source(settings.velocity) for _ in self.joints]
             if self._state is not None:
                 for source, *state in zip(self._velocities, *self._state[:2], strict=True):
-                    source.take_over(*state)
+                    source.start_from(*state)
         self._settings, self._timeout = settings, settings.timing.state_timeout
 
     def observe(

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import Numbers
-from hpid_ros.control.assembly import observer_figures
+from hpid_ros.control.assembly import observer_design
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.control.velocity import ObserverFigures
+from hpid_ros.control.velocity import ObserverDesign
 
 Complexes = NDArray[np.complex128]
 """Of any shape, which the docstring says."""
@@ -207,13 +207,13 @@ class ObserverSource:
 
     size = 3
 
-    def __init__(self, figures: ObserverFigures) -> None:
-        t = figures.period
-        theta = max(math.exp(-figures.bandwidth * t), _LEAST_MEMORY)
+    def __init__(self, design: ObserverDesign) -> None:
+        t = design.period
+        theta = max(math.exp(-design.bandwidth * t), _LEAST_MEMORY)
         rest = 1.0 - theta
-        self._inertia = figures.inertia
+        self._inertia = design.inertia
         self._follow = np.array([[1.0, t, 0.5 * t * t], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
-        self._push = np.array([0.5 * t * t, t, 0.0]) / figures.inertia
+        self._push = np.array([0.5 * t * t, t, 0.0]) / design.inertia
         self._correct = np.array(
             [1.0 - theta**3, 1.5 * rest * rest * (1.0 + theta) / t, rest**3 / (t * t)]
         )
@@ -247,9 +247,9 @@ def linear_source(settings: LoopSettings) -> LinearSource:
     difference, as in the loop.
     """
     period = settings.timing.control_period
-    figures = observer_figures(settings)
-    if figures is not None:
-        return ObserverSource(figures)
+    design = observer_design(settings)
+    if design is not None:
+        return ObserverSource(design)
     if settings.velocity.source == "homogeneous_differentiator":
         return FilteredSource(0.0, period)
     if settings.velocity.is_measured:

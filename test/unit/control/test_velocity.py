@@ -17,7 +17,7 @@ from hpid_ros.control.velocity import (
     LEAST_DEGREE,
     HomogeneousDifferentiator,
     Observer,
-    ObserverFigures,
+    ObserverDesign,
 )
 from hpid_ros.motion import Column, Knot
 
@@ -86,7 +86,7 @@ DEGREES = st.just(0.0) | st.floats(LEAST_DEGREE, LARGEST_DEGREE)
 
 
 def observer(bandwidth=100.0, inertia=1.0, **others):
-    return Observer(ObserverFigures(inertia, bandwidth, PERIOD, **others))
+    return Observer(ObserverDesign(inertia, bandwidth, PERIOD, **others))
 
 
 @given(st.floats(20.0, 5000.0), st.floats(0.01, 10.0), st.floats(-20.0, 20.0), DEGREES)
@@ -181,7 +181,7 @@ def test_what_is_taken_over_stays_where_nothing_drives_the_joint(position, veloc
     """In balance: the effort sent is answered by something, until a sample says otherwise."""
     each = observer(inertia=0.2)
     each.send(7.0)
-    each.take_over(position, velocity)
+    each.start_from(position, velocity)
     for k in range(1, 50):
         seen = each.update(position + k * PERIOD * velocity, None, PERIOD)
         assert seen == pytest.approx(velocity, abs=1e-9)
@@ -193,8 +193,8 @@ def test_another_inertia_moves_no_estimate(before, after):
     assume(abs(before - after) > 1e-3)
     each = observer(inertia=before)
     each.send(3.0)
-    each.take_over(0.1, 0.4)
-    each.retune(ObserverFigures(after, 200.0, PERIOD))
+    each.start_from(0.1, 0.4)
+    each.retune(ObserverDesign(after, 200.0, PERIOD))
     each.send(3.0)
     assert each.update(0.1 + 0.4 * PERIOD, None, PERIOD) == pytest.approx(0.4)
 
@@ -379,7 +379,7 @@ def test_without_inertia_an_observer_is_the_filter_to_the_bit_and_says_so():
 )
 def test_an_observers_bandwidth_follows_the_gains_unless_it_is_given(d, bandwidth, expected):
     loop = loop_of(gains__d=d, observer__bandwidth=bandwidth)
-    assert loop._estimation._observer.figures.bandwidth == expected
+    assert loop._estimation._observer.design.bandwidth == expected
 
 
 def test_a_source_that_was_changed_at_a_stray_stamp_stays_changed():
