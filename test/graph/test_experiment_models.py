@@ -141,15 +141,8 @@ def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, module_har
     ("file", "parameters", "message"),
     [
         ({}, {}, "world.yaml: robot is missing"),
-        (ROBOT | {"robots": {}}, {}, "world.yaml: unknown key 'robots'; did you mean 'robot'"),
         (ROBOT, {"encoder_counts": [1]}, "encoder_counts must have one entry for each of 8"),
-        (
-            ROBOT,
-            {"physics_steps": 0},
-            "simulation.physics_steps must be a whole number, at least 1",
-        ),
         (ROBOT, {"joints": ["elbow"]}, "unknown joint 'elbow'"),
-        ([1], {}, "world.yaml: the document must be a mapping, not [1]"),
         (None, {}, "there is no file"),
     ],
 )

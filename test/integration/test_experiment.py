@@ -1,5 +1,7 @@
 """Experiment files: what they give, and how bad ones are refused."""
 
+import math
+
 import pytest
 
 from hpid_ros.base.errors import ExperimentError
@@ -30,18 +32,14 @@ def test_later_layers_win(experiment_file):
     assert (by_joint["arm_joint_1"], by_joint["arm_joint_2"]) == (0.2, 0.1)
 
 
-def test_encoder_resolution_reaches_the_loops(experiment_file):
-    experiment = load_experiment(experiment_file(sensors__encoder_counts=1000))
-    for each in experiment.controllers["PID"]:
-        assert each.encoder.resolution == pytest.approx(6.283185307 / 1000)
-
-
-def test_efforts_are_limited_as_the_robot_is_unless_the_file_says_otherwise(experiment_file):
-    path = experiment_file(controllers__joints__arm_joint_2={"u_clamp_max": 3.0})
-    limits = {
-        each.joint: (each.effort.u_clamp_min, each.effort.u_clamp_max)
-        for each in load_experiment(path).controllers["PID"]
-    }
+def test_loops_know_the_robot_s_encoders_and_limits_unless_the_file_says_more(
+    experiment_file,
+):
+    own = {"u_clamp_max": 3.0}
+    path = experiment_file(sensors__encoder_counts=1000, controllers__joints__arm_joint_2=own)
+    loops = load_experiment(path).controllers["PID"]
+    assert {each.encoder.resolution for each in loops} == {math.tau / 1000}
+    limits = {each.joint: (each.effort.u_clamp_min, each.effort.u_clamp_max) for each in loops}
     assert limits["arm_joint_1"] == (-30.0, 30.0)
     assert limits["arm_joint_2"] == (-45.0, 3.0)
 

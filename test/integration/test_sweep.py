@@ -11,11 +11,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from harness.studies import wait_until
 
-from hpid_ros.base.errors import RunError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop
@@ -25,7 +23,6 @@ from hpid_ros.experiment.batch import (
     RunTask,
     WorldKeeper,
     run_batch,
-    simulate,
     simulated,
 )
 from hpid_ros.experiment.compare import compute
@@ -105,18 +102,6 @@ def test_a_kept_world_changes_no_number_and_only_the_seed_keeps_it(experiment):
     assert kept[0] == kept[2] != kept[1]
 
 
-def test_the_record_is_what_the_loops_saw(experiment):
-    with WorldKeeper() as keeper:
-        run = simulate(RunTask.of(experiment, "hPID"), keeper)
-    assert run.joint_names == experiment.world.joints
-    for series in run.joints:
-        assert np.array_equal(series.state_stamps_ns, np.arange(101) * 1_000_000)
-        column = experiment.trajectory.column(series.joint)
-        reference = column.start(0, float(series.position[0]))
-        wanted = [reference.sample(stamp).position for stamp in series.state_stamps_ns.tolist()]
-        assert series.reference.tolist() == wanted
-
-
 def test_records_depend_neither_on_the_processes_nor_on_the_order(experiment):
     """Also where a run fails, which is named, and the others go on."""
     tasks = seeded(experiment, "hPID", 4) | {"PID": RunTask.of(experiment, "PID")}
@@ -129,21 +114,6 @@ def test_records_depend_neither_on_the_processes_nor_on_the_order(experiment):
     assert not alone[1].numbers
     assert dict(run_batch(dict(reversed(tasks.items())), 2)) == alone
     assert list(run_batch({}, 2)) == []
-
-
-class Deadly(JointTrajectory):
-    """A trajectory that ends the process that follows it."""
-
-    def column(self, joint):
-        os._exit(3)
-
-
-def test_a_process_that_dies_ends_the_batch_and_its_runs_are_named(experiment):
-    tasks = seeded(experiment, "hPID", 6)
-    deadly = Deadly(experiment.trajectory.joint_names, experiment.trajectory.points)
-    tasks[2] = replace(tasks[2], trajectory=deadly)
-    with pytest.raises(RunError, match=r"a process died during one of these: .*seed=2"):
-        list(run_batch(tasks, 2))
 
 
 def test_leaving_a_batch_early_ends_its_processes_and_is_nothing_to_warn_of(experiment, recwarn):
@@ -187,14 +157,8 @@ def test_an_interrupt_ends_every_process_and_leaves_what_was_run(
     experiment_file, tmp_path, started, is_warm
 ):
     folder = tmp_path / "sweep"
-    command = [
-        sys.executable,
-        "-m",
-        "hpid_ros.cli.main",
-        "sweep",
-        str(experiment_file(duration=20.0)),
-    ]
-    command += ["--vary", "mu=-0.2:0.2:50", "--jobs", "2", "-o", str(folder)]
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "sweep", experiment_file(duration=20.0)]
+    command += ["--vary", "mu=-0.2:0.2:50", "--jobs", "2", "-o", folder]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -277,24 +241,23 @@ def test_a_failed_run_is_told_and_makes_the_exit_code(
     code, out, _ = run_cli([*options, "-o", tmp_path / "s"], capsys)
     assert code == FAILED
     assert "1 of 3 runs failed: ZeroDivisionError: by zero" in out
-    runs = list(csv.DictReader((tmp_path / "s" / "sweep.csv").read_text().splitlines()))
-    assert [run["failure"] for run in runs if run["failure"]] == ["ZeroDivisionError: by zero"]
+    assert (tmp_path / "s" / "sweep.csv").read_text().count("ZeroDivisionError: by zero") == 1
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("option", "words"),
     [
-        (["--vary", "mu=a"], "'a' is not a number"),
-        (["--vary", "mu=0.1", "--jobs", "0"], "--jobs must be at least 1"),
-        (["--vary", "mu=0.6"], "no point can run"),
+        ("--vary=mu=a", "'a' is not a number"),
+        ("--jobs=0", "--jobs must be at least 1"),
+        ("--vary=gains.p=-1", "no point can run"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_no_folder(
-    experiment_file, tmp_path, capsys, arguments, words
+    experiment_file, tmp_path, capsys, option, words
 ):
-    folder = tmp_path / "s"
-    code, out, err = run_cli([experiment_file(), *arguments, "-o", folder], capsys)
+    options = [experiment_file(), "--vary", "mu=0.1", option, "-o", tmp_path / "s"]
+    code, out, err = run_cli(options, capsys)
     assert (code, out) == (BAD_INPUT, "")
     assert len(err.splitlines()) == 1
     assert words in err
-    assert not folder.exists()
+    assert not (tmp_path / "s").exists()

@@ -9,6 +9,10 @@ from hpid_ros.experiment.sweep import Axis, SweepResult, plan_sweep
 from hpid_ros.metrics.quantities import IVC
 
 
+def planned(experiment, *texts, **options):
+    return plan_sweep(experiment, [Axis.parse(text) for text in texts], **options)
+
+
 @pytest.mark.parametrize(
     ("text", "values"),
     [
@@ -28,12 +32,10 @@ def test_axes_are_what_a_person_means(text, values):
     [
         ("mu", "must be NAME=START:STOP:COUNT"),
         ("=1", "must be NAME="),
-        ("mu=", "must be NAME="),
         ("mu=0.1,", "'' is not a number"),
         ("mu=small", "'small' is not a number"),
         ("mu=0.1:0.3", "must be START:STOP:COUNT"),
         ("mu=0.1:0.3:1", "for one value write NAME=VALUE"),
-        ("mu=0.1:0.3:2.5", "COUNT must be a whole number"),
         ("mu=0.1:0.3:1e9", "from 2 to 10000"),
         ("mu=0.1:0.1:2", "0.1 is there twice"),
         ("mu=nan", "not finite"),
@@ -65,11 +67,7 @@ def test_bad_axes_are_refused_in_a_line_that_repeats_them(text, words):
 )
 def test_grids_that_make_no_sense_are_refused(experiment, texts, options, words):
     with pytest.raises(SettingError, match=words):
-        plan_sweep(experiment, [Axis.parse(text) for text in texts], **options)
-
-
-def planned(experiment, *texts, **options):
-    return plan_sweep(experiment, [Axis.parse(text) for text in texts], **options)
+        planned(experiment, *texts, **options)
 
 
 def test_a_grid_is_every_combination_with_every_seed(experiment):
@@ -127,23 +125,15 @@ def test_gains_that_a_loop_refuses_stay_in_the_table_with_the_reason(experiment)
     assert [place for place, _ in sweep.tasks()] == [0, 1]
 
 
-def made_up(sweep, values):
-    """Return a result whose IVCs are given by row."""
-
-    return SweepResult(
-        sweep,
-        {
-            (place, seed): RunRecord({TOTAL: {IVC.key: ivc}})
-            for place, row in enumerate(values)
-            for seed, ivc in zip(sweep.seeds, row, strict=True)
-            if ivc is not None
-        },
-    )
-
-
 def test_ratios_are_taken_seed_by_seed_before_the_median(experiment):
     sweep = planned(experiment, "mu=0.1", seeds=5)
-    result = made_up(sweep, [(1.0, 10.0, 100.0, 4.0, 5.0), (2.0, 10.0, 50.0, 12.0, None)])
+    values = [(1.0, 10.0, 100.0, 4.0, 5.0), (2.0, 10.0, 50.0, 12.0)]
+    records = {
+        (place, seed): RunRecord({TOTAL: {IVC.key: ivc}})
+        for place, row in enumerate(values)
+        for seed, ivc in enumerate(row, 1)
+    }
+    result = SweepResult(sweep, records)
     assert result.table.quartiles((0,), IVC) == (4.0, 5.0, 10.0)
     assert result.table.quartiles((1,), IVC) == (8.0, 11.0, 21.5)
     assert result.table.ratios((0,), IVC) is None

@@ -32,10 +32,6 @@ def test_a_share_of_the_way_is_a_value_within_the_bounds_and_back(parameter, sha
     assert parameter.low <= parameter.start <= parameter.high
 
 
-def test_the_linear_rival_has_no_fewer_free_parameters():
-    assert len(HPID_PARAMETERS) == len(EFFORT_PARAMETERS) == 3 < len(PID_PARAMETERS)
-
-
 def records(*runs):
     """Return made-up runs by seed."""
     keys = [quantity.key for quantity in PAPER]
