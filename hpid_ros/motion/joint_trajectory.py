@@ -329,8 +329,7 @@ Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...], tupl
 class PointArrays(NamedTuple):
     """The numbers of all points, one row a point, one column a joint.
 
-    Where no point has any an array may be without columns, and a row of NaN is a point that has
-    none.
+    A row of NaN is a point that has none.
     """
 
     positions: Numbers  # [rad]
@@ -418,8 +417,7 @@ def checked_column(
     joint: str, at: int, stamp_ns: int, times_ns: Integers, arrays: PointArrays
 ) -> Column:
     """Return one joint's column of a trajectory that :func:`require_arrays` let pass."""
-    none = np.full(len(times_ns), np.nan)
-    columns = (each[:, at].copy() if each.shape[1] else none for each in arrays)
+    columns = (each[:, at].copy() for each in arrays)
     return Column(joint, KnotArrays(times_ns, *columns), stamp_ns)
 
 
@@ -436,9 +434,8 @@ def _suspects(
     wrong = np.flatnonzero(odd.any(axis=1))
     suspects += [int(wrong[0])] if len(wrong) else []
     for k, each in enumerate(arrays):
-        if each.shape[1] == joints:
-            bad = ~(np.abs(each) <= _LARGEST).all(axis=1) & (lengths[:, k] == joints)
-            suspects += [int(np.argmax(bad))] if bad.any() else []
+        bad = ~(np.abs(each) <= _LARGEST).all(axis=1) & (lengths[:, k] == joints)
+        suspects += [int(np.argmax(bad))] if bad.any() else []
     return sorted(suspects)
 
 

@@ -346,8 +346,6 @@ class GoalRequest:
             raise
         except HpidError as error:
             raise GoalError(str(error)) from None
-        none = np.full((len(came.times_ns), len(names)), np.nan)
-        arrays = PointArrays(*(each if each.shape[1] else none for each in arrays))
         return cls(names, came.stamp_ns, came.times_ns, arrays, *tolerances)
 
     def require_group(self, settings: GroupSettings) -> Tolerances:

@@ -24,7 +24,6 @@ from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Motion, Setpoint
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import (
-    MixedTrajectory,
     TrajectoryArrays,
     decode_float64,
     decode_trajectory,
@@ -41,7 +40,7 @@ from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable
 from hpid_ros.nodes.core.parameters import read
 
 
-def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:
+def column_of(decoded: TrajectoryArrays, joint: str) -> Column | None:
     """Check a decoded message and return one joint's column."""
     if joint not in decoded.names:
         return None
@@ -114,7 +113,7 @@ class TrajectorySubscriptions:
         self._take(raw)
 
 
-Decoded = TrajectoryArrays | MixedTrajectory | Exception
+Decoded = TrajectoryArrays | Exception
 """What became of a message; for instance a ``MessageError``."""
 
 
