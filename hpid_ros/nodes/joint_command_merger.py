@@ -15,6 +15,7 @@ from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALL_JOINTS
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
+from hpid_ros.control.settings import LARGEST_EFFORT, LONGEST_TIMEOUT
 from hpid_ros.messages.joint_state import EffortReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
@@ -28,8 +29,6 @@ from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_join
 from hpid_ros.nodes.parts.joint_topics import Sink, sender_of
 from hpid_ros.nodes.parts.lifecycle import ManagedNode, ManagedParameters
 from hpid_ros.nodes.parts.merger import (
-    LARGEST_EFFORT,
-    LONGEST_TIMEOUT,
     CommandMerger,
     JointCounts,
     MergerSettings,

@@ -20,12 +20,7 @@ from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.units import NANOSECONDS
-
-LONGEST_TIMEOUT = 1.0
-"""No joint may be silent for longer than this without its fallback, in [s]."""
-
-LARGEST_EFFORT = 1e6
-"""No fallback is larger, in [N m] or [N]."""
+from hpid_ros.control.settings import LARGEST_EFFORT, LONGEST_TIMEOUT
 
 
 @dataclass(frozen=True)
