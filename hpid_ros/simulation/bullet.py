@@ -27,11 +27,7 @@ class BulletPhysics:
 
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
-        self._urdf = bullet_urdf(
-            description,
-            is_touched=not settings.fixed_base or bool(settings.workplace),
-            is_shown=settings.gui,
-        )
+        self._urdf = bullet_urdf(description, is_shown=settings.gui)
         self._client = Client(settings.gui)
         self._damping: Sequence[float] | None = None
         self._brakes: Sequence[float] | None = None

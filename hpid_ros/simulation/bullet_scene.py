@@ -18,7 +18,6 @@ from __future__ import annotations
 import copy
 import ctypes
 import logging
-import math
 import os
 import sys
 import tempfile
@@ -30,9 +29,17 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.robot.description import JointDescription, RobotDescription, find_mesh, mesh_places
-from hpid_ros.simulation.physics import PAYLOAD_EDGE, SETTLING_TIME, STAYING, Pose
+from hpid_ros.base.errors import RobotDescriptionError
+from hpid_ros.robot.description import JointDescription, RobotDescription, find_mesh
+from hpid_ros.simulation.physics import (
+    GROUND_FRICTION,
+    NEGLIGIBLE_INERTIA,
+    NEGLIGIBLE_MASS,
+    PAYLOAD_EDGE,
+    SETTLING_TIME,
+    Pose,
+    require_staying,
+)
 from hpid_ros.simulation.settings import Brick, Support, Workplace, WorldSettings
 
 __all__ = ["Client", "captured", "pybullet"]
@@ -122,28 +129,22 @@ def put_boxes(client: Client, boxes: Iterable[Support]) -> tuple[int, ...]:
 
 
 def let_hand_pass(client: Client, robot: int, link: int, bricks: Iterable[int]) -> None:
-    """Let a hand pass through bricks: it has no joint to put its fingers around them."""
-    for index in _hand_links(client, robot, link):
+    """Let a hand, all that is rigid with a link, pass bricks: it has no joint for its fingers."""
+    infos = [client.getJointInfo(robot, index) for index in range(client.getNumJoints(robot))]
+    is_fixed = [info[2] == pybullet.JOINT_FIXED for info in infos]
+    while link >= 0 and is_fixed[link]:
+        link = infos[link][16]
+    hand = {link}
+    for index, info in enumerate(infos):  # a parent comes before its children
+        if is_fixed[index] and info[16] in hand:
+            hand.add(index)
+    for index in sorted(hand):
         for brick in bricks:
             client.setCollisionFilterPair(robot, brick, index, -1, enableCollision=0)
 
 
 def box_pose(client: Client, body: int) -> Pose:
     return Pose(*client.getBasePositionAndOrientation(body))
-
-
-def _hand_links(client: Client, robot: int, link: int) -> list[int]:
-    """Return the links that are rigidly connected with a link, itself included."""
-    infos = [client.getJointInfo(robot, index) for index in range(client.getNumJoints(robot))]
-    is_fixed = [info[2] == pybullet.JOINT_FIXED for info in infos]
-    root = link
-    while root >= 0 and is_fixed[root]:
-        root = infos[root][16]
-    hand = {root}
-    for index, info in enumerate(infos):  # a parent comes before its children
-        if is_fixed[index] and info[16] in hand:
-            hand.add(index)
-    return sorted(hand)
 
 
 ROTOR_SUFFIX = "__rotor"
@@ -164,12 +165,8 @@ def add_rotors(robot: ElementTree.Element, joints: Iterable[JointDescription]) -
     elements = {element.get("name"): element for element in robot.findall("joint")}
     for joint in geared(joints):
         name, element = rotor_name(joint), elements[joint.name]
-        inertial = ElementTree.SubElement(
-            ElementTree.SubElement(robot, "link", name=name), "inertial"
-        )
-        ElementTree.SubElement(inertial, "mass", value=repr(ROTOR_MASS))
-        moments = dict.fromkeys(("ixx", "iyy", "izz"), repr(joint.rotor_inertia))
-        ElementTree.SubElement(inertial, "inertia", moments, ixy="0", ixz="0", iyz="0")
+        link = ElementTree.SubElement(robot, "link", name=name)
+        _add_inertial(link, ROTOR_MASS, joint.rotor_inertia)
         rotor = ElementTree.SubElement(robot, "joint", name=name, type="continuous")
         ElementTree.SubElement(rotor, "parent", link=joint.parent)
         ElementTree.SubElement(rotor, "child", link=name)
@@ -214,13 +211,7 @@ def rotor_name(joint: JointDescription) -> str:
     return joint.name + ROTOR_SUFFIX
 
 
-NEGLIGIBLE_MASS = 1e-6  # [kg]
-NEGLIGIBLE_INERTIA = 1e-9  # [kg m^2]
-
-
-def bullet_urdf(
-    description: RobotDescription, *, is_touched: bool = True, is_shown: bool = False
-) -> str:
+def bullet_urdf(description: RobotDescription, *, is_shown: bool = False) -> str:
     """Return the URDF text that Bullet gets.
 
     Rotors are added; links without an inertial element become weightless frames (Bullet would
@@ -228,46 +219,36 @@ def bullet_urdf(
     a temporary file; and what nobody will see is left out, which loads many times faster.
     """
     robot = ElementTree.fromstring(description.xml)
-    missing: list[str] = []
     for link in robot.findall("link"):
         if link.find("inertial") is None:
-            _add_negligible_inertia(link)
-        missing += _place_meshes(link, "collision", description.folder)
+            _add_inertial(link, NEGLIGIBLE_MASS, NEGLIGIBLE_INERTIA)
+        _place_meshes(link, "collision", description.folder)
         if is_shown:
             _place_meshes(link, "visual", description.folder)
         else:
             for shape in link.findall("visual"):
                 link.remove(shape)
-    if missing:
-        what = f"{len(missing)} collision mesh(es) missing: {missing[0]}"
-        if is_touched:
-            raise RobotDescriptionError(f"{what}; only on a fixed base the robot can do without")
-        _logger.warning("%s; nothing touches the robot, it goes without", what)
     add_rotors(robot, description.joints.values())
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-def _place_meshes(link: ElementTree.Element, tag: str, folder: Path | None) -> list[str]:
+def _place_meshes(link: ElementTree.Element, tag: str, folder: Path | None) -> None:
     """Make the paths of a link's meshes absolute; leave out shapes whose mesh is missing."""
-    missing = []
     for shape in link.findall(tag):
         mesh = shape.find("geometry/mesh")
         if mesh is None:
             continue
-        name = mesh.get("filename", "")
-        found = find_mesh(name, folder)
+        found = find_mesh(mesh.get("filename", ""), folder)
         if found is None:
             link.remove(shape)
-            missing.append(f"{name} of link {link.get('name')!r} ({mesh_places(name, folder)})")
         else:
             mesh.set("filename", str(found))
-    return missing
 
 
-def _add_negligible_inertia(link: ElementTree.Element) -> None:
+def _add_inertial(link: ElementTree.Element, mass: float, moment: float) -> None:
     inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "mass", value=repr(NEGLIGIBLE_MASS))
-    moments = dict.fromkeys(("ixx", "iyy", "izz"), repr(NEGLIGIBLE_INERTIA))
+    ElementTree.SubElement(inertial, "mass", value=repr(mass))
+    moments = dict.fromkeys(("ixx", "iyy", "izz"), repr(moment))
     ElementTree.SubElement(inertial, "inertia", moments, ixy="0", ixz="0", iyz="0")
 
 
@@ -312,7 +293,6 @@ def brake_joints(
     )
 
 
-GROUND_FRICTION = 1.0  # Bullet multiplies the two surfaces' coefficients: the robot's decides
 LOCK_FORCE = 1e6  # [N m]
 NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
 
@@ -345,12 +325,7 @@ def settle_bricks(client: Client, bricks: tuple[int, ...], workplace: Workplace)
     rest = (0.0, 0.0, 0.0)
     for body, brick in zip(bricks, workplace.bricks, strict=True):
         client.resetBaseVelocity(body, rest, rest)
-        moved = math.dist(box_pose(client, body).position, brick.position)
-        if moved > STAYING:
-            raise SettingError(
-                f"brick {brick.name!r} does not stay at {list(brick.position)} m: it moves by "
-                f"{moved:.3g} m in {SETTLING_TIME:g} s; put it on a support, and into nothing"
-            )
+        require_staying(brick, box_pose(client, body))
 
 
 # Sequential impulses stop at this squared change of velocity or after this many sweeps. Measured
@@ -418,7 +393,7 @@ def build_scene(
     put_boxes(client, workplace.supports)
     if scene.bricks:
         let_hand_pass(client, body, links[workplace.gripper.link], scene.bricks)
-    if not settings.fixed_base or workplace:
+    if settings.is_touched:
         settle(client, body, joints.values(), settings.physics_period)
         settle_bricks(client, scene.bricks, workplace)
         place_joints(client, body, joints, start)

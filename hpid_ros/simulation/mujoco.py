@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.base.errors import RunError
 from hpid_ros.base.units import Numbers, Vector
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.mujoco_model import build_model, soften
-from hpid_ros.simulation.physics import PAYLOAD_EDGE, SETTLING_TIME, STAYING, Pose, Twist
+from hpid_ros.simulation.physics import PAYLOAD_EDGE, SETTLING_TIME, Pose, Twist, require_staying
 from hpid_ros.simulation.settings import WorldSettings
 
 _LOCK = 1e6  # [N m]
@@ -193,7 +192,7 @@ class MujocoPhysics:
         for name, position in start.items():
             positions[built.positions[name]] = position
         self._begin(positions, nothing, nothing)
-        if settings.fixed_base and not settings.workplace:
+        if not settings.is_touched:
             return
         if not settings.fixed_base:
             self._put_on_ground()
@@ -202,13 +201,7 @@ class MujocoPhysics:
             self.data.qpos[built.positions[name]] = position
         self._begin(self.data.qpos.copy(), nothing, nothing)
         for brick, body in zip(settings.workplace.bricks, built.bricks, strict=True):
-            moved = math.dist(self._pose(body).position, brick.position)
-            if not moved <= STAYING:
-                raise SettingError(
-                    f"brick {brick.name!r} does not stay at {list(brick.position)} m: it moves "
-                    f"by {moved:.3g} m in {SETTLING_TIME:g} s; put it on a support, and into "
-                    "nothing"
-                )
+            require_staying(brick, self._pose(body))
 
     def _put_on_ground(self) -> None:
         """Set the robot down so that its lowest point touches the ground."""

@@ -10,11 +10,9 @@ their product counts. Nothing of the robot touches itself.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -23,17 +21,17 @@ import numpy as np
 
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.base.units import Numbers
-from hpid_ros.robot.description import JointDescription, RobotDescription, find_mesh, mesh_places
+from hpid_ros.robot.description import JointDescription, RobotDescription, find_mesh
+from hpid_ros.simulation.physics import (
+    GROUND_FRICTION,
+    NEGLIGIBLE_INERTIA,
+    NEGLIGIBLE_MASS,
+)
 from hpid_ros.simulation.settings import Brick, Support, WorldSettings
 
-_logger = logging.getLogger(__name__)
-
 GROUND = "__ground"
-NEGLIGIBLE_MASS = 1e-6  # [kg]
-NEGLIGIBLE_INERTIA = 1e-9  # [kg m^2]
 LINK_FRICTION = 0.5
 """Of a link whose URDF names none, as in Bullet."""
-GROUND_FRICTION = 1.0
 IMPEDANCE = 0.05
 """d of elastic contacts: with one that small R is large, and stiffness and damping are exact."""
 IMPRATIO = 1000.0
@@ -78,35 +76,17 @@ class _Shape(NamedTuple):
 def build_model(settings: WorldSettings, description: RobotDescription) -> MujocoModel:
     root = ElementTree.fromstring(description.xml)
     spec = _spec(settings)
-    is_touched = not settings.fixed_base or bool(settings.workplace)
-    robot = _Robot(spec, root, description, settings.fixed_base, is_touched)
+    robot = _Robot(spec, root, description, settings)
     robot.build()
     touches = _Contacts(spec, settings)
-    if is_touched:
+    if settings.is_touched:
         touches.build(robot)
-    else:
-        _tell_missing(root, description.folder)
     try:
         model = spec.compile()
     except ValueError as error:
         line = " ".join(str(error).split())
         raise RobotDescriptionError(f"MuJoCo cannot load the robot description: {line}") from None
     return _indexed(model, description, settings, robot, touches)
-
-
-def _tell_missing(root: ElementTree.Element, folder: Path | None) -> None:
-    """Say which collision meshes are not there; a robot that nothing touches needs none."""
-    missing = [
-        f"{name} of link {link.get('name')!r} ({mesh_places(name, folder)})"
-        for link in root.findall("link")
-        for mesh in link.findall("collision/geometry/mesh")
-        if find_mesh(name := mesh.get("filename", ""), folder) is None
-    ]
-    if missing:
-        _logger.warning(
-            "%d collision mesh(es) missing: %s; nothing touches the robot, it goes without",
-            *(len(missing), missing[0]),
-        )
 
 
 def _spec(settings: WorldSettings) -> Any:
@@ -130,11 +110,9 @@ class _Robot:
         spec: Any,
         root: ElementTree.Element,
         description: RobotDescription,
-        is_fixed: bool,
-        is_touched: bool,
+        settings: WorldSettings,
     ) -> None:
-        self._spec, self._description, self._is_fixed = spec, description, is_fixed
-        self._is_touched = is_touched
+        self._spec, self._description, self._settings = spec, description, settings
         self._shortest = _SHORTEST * spec.option.timestep
         self._links = {each.get("name", ""): each for each in root.findall("link")}
         self._below: dict[str, list[ElementTree.Element]] = {}
@@ -149,10 +127,11 @@ class _Robot:
     def build(self) -> None:
         root = self._description.root
         body = self._spec.worldbody.add_body(name=_link(root))
-        if not self._is_fixed:
+        is_free = not self._settings.fixed_base
+        if is_free:
             body.add_freejoint(name=f"{root}__free")
         self.rigid[root] = root
-        self._fill(body, root, not self._is_fixed)
+        self._fill(body, root, is_free)
         pending = [(body, root)]
         while pending:
             parent, name = pending.pop()
@@ -182,7 +161,7 @@ class _Robot:
         elif moves:
             body.mass, body.inertia = NEGLIGIBLE_MASS, (NEGLIGIBLE_INERTIA,) * 3
             body.explicitinertial = True
-        if self._is_touched:
+        if self._settings.is_touched:
             for number, shape in enumerate(link.findall("collision")):
                 self._add_shape(body, name, number, shape, link.find("contact"))
 
@@ -225,14 +204,7 @@ class _Robot:
             geom.type = types.mjGEOM_CYLINDER
             geom.size = (*_numbers(form, "radius"), _numbers(form, "length")[0] / 2.0, 0.0)
         elif form.tag == "mesh":
-            source, folder = form.get("filename", ""), self._description.folder
-            found = find_mesh(source, folder)
-            if found is None:
-                places = mesh_places(source, folder)
-                raise RobotDescriptionError(
-                    f"collision mesh {source} of link {link!r} missing ({places}); only on a "
-                    "fixed base the robot can do without"
-                )
+            found = find_mesh(form.get("filename", ""), self._description.folder)
             scale = _numbers(form, "scale") if form.get("scale") else (1.0, 1.0, 1.0)
             self._spec.add_mesh(name=name, file=str(found), scale=scale)
             geom.type, geom.meshname = types.mjGEOM_MESH, name

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
+from xml.etree import ElementTree
 
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.units import Vector
+from hpid_ros.robot.description import RobotDescription, find_mesh, mesh_places
+from hpid_ros.simulation.settings import Brick
+
+_logger = logging.getLogger(__name__)
 
 
 class Pose(NamedTuple):
@@ -24,8 +32,36 @@ class Twist(NamedTuple):
 
 
 SETTLING_TIME = 0.25  # [s]
-STAYING = 0.005  # [m], how far a brick may be from where it is put when it has settled
 PAYLOAD_EDGE = 0.08  # [m]
+NEGLIGIBLE_MASS = 1e-6  # [kg] of a link that is a mere frame
+NEGLIGIBLE_INERTIA = 1e-9  # [kg m^2]
+GROUND_FRICTION = 1.0  # of two surfaces the product counts: the robot's decides
+_STAYING = 0.005  # [m], how far a brick may be from where it is put when it has settled
+
+
+def require_meshes(description: RobotDescription, is_touched: bool) -> None:
+    """Refuse a robot without its collision meshes, or warn where nothing touches it."""
+    missing = [
+        f"{name} of link {link.get('name')!r} ({mesh_places(name, description.folder)})"
+        for link in ElementTree.fromstring(description.xml).findall("link")
+        for mesh in link.findall("collision/geometry/mesh")
+        if find_mesh(name := mesh.get("filename", ""), description.folder) is None
+    ]
+    if missing:
+        what = f"{len(missing)} collision mesh(es) missing: {missing[0]}"
+        if is_touched:
+            raise RobotDescriptionError(f"{what}; only on a fixed base the robot can do without")
+        _logger.warning("%s; nothing touches the robot, it goes without", what)
+
+
+def require_staying(brick: Brick, settled: Pose) -> None:
+    """Refuse a brick that fell or was pushed while everything settled."""
+    moved = math.dist(settled.position, brick.position)
+    if not moved <= _STAYING:
+        raise SettingError(
+            f"brick {brick.name!r} does not stay at {list(brick.position)} m: it moves by "
+            f"{moved:.3g} m in {SETTLING_TIME:g} s; put it on a support, and into nothing"
+        )
 
 
 class Physics(Protocol):

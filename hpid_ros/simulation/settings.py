@@ -381,6 +381,11 @@ class WorldSettings:
             )
 
     @property
+    def is_touched(self) -> bool:
+        """Whether there is anything that the robot can touch."""
+        return not self.fixed_base or bool(self.workplace)
+
+    @property
     def physics_period(self) -> float:
         """Time between two physics steps, in [s]."""
         return self.control_period_ns * 1e-9 / self.physics_steps

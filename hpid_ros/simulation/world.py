@@ -15,7 +15,7 @@ from hpid_ros.base.units import Vector
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.simulation.drives import Drive
 from hpid_ros.simulation.gripper import Gripper
-from hpid_ros.simulation.physics import Physics, Pose, Twist
+from hpid_ros.simulation.physics import Physics, Pose, Twist, require_meshes
 from hpid_ros.simulation.settings import (
     Event,
     PayloadChange,
@@ -386,6 +386,7 @@ class World:
 def build_physics(settings: WorldSettings, description: RobotDescription) -> Physics:
     """Return the engine of a world, at time 0."""
     require_engine(settings.engine)
+    require_meshes(description, settings.is_touched)
     # Imported where it is asked for: either takes a while, and one of them may not be installed.
     if settings.engine == "mujoco":
         from hpid_ros.simulation.mujoco import MujocoPhysics

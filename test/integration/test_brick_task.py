@@ -39,8 +39,8 @@ SMALL = {
     "extends": str(EXPERIMENTS / "tracking.yaml"),
     "name": "small",
     "duration": 4.4,
-    "control": {"rate": 500, "answer_timeout": 120.0},
-    "simulation": {"engine": "mujoco", "physics_steps": 2},
+    "control": {"rate": 250, "answer_timeout": 120.0},
+    "simulation": {"engine": "mujoco", "physics_steps": 4},
     "robot": {
         "base": None,
         "fixed_base": True,
@@ -172,8 +172,8 @@ def test_a_grip_that_is_too_weak_loses_the_brick_and_says_so(written, tmp_path):
 def test_the_shipped_task_puts_both_bricks_where_they_belong(tmp_path):
     document = {
         "extends": str(EXPERIMENTS / "bricks.yaml"),
-        "control": {"rate": 500},  # half the rate of the file, which takes half the time
-        "simulation": {"engine": "mujoco", "physics_steps": 2},
+        "control": {"rate": 250},  # a quarter of the file's rate, which takes less time
+        "simulation": {"engine": "mujoco", "physics_steps": 4},
         "compare": {"PID": None},
     }
     path = tmp_path / "bricks.yaml"
