@@ -15,11 +15,10 @@ from hpid_ros.metrics.measure import (
     measure_all,
     summary,
 )
-from hpid_ros.metrics.results import JointIndices, RunIndices, joint_indices, run_indices
+from hpid_ros.metrics.results import RunIndices, joint_indices, run_indices
 
 __all__ = [
     "Comparison",
-    "JointIndices",
     "JointSeries",
     "Losses",
     "Measured",

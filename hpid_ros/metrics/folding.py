@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from hpid_ros.base.text import shown
 from hpid_ros.messages.series import DataQuality, JointSeries, RunSeries, SeriesError, StampQuality
 from hpid_ros.metrics.comparison import ratio
-from hpid_ros.metrics.quantities import INDICES, NORMS, Data, Quantity
-from hpid_ros.metrics.results import JointIndices, RunIndices, Spread
+from hpid_ros.metrics.quantities import NORMS, Data, Quantity
+from hpid_ros.metrics.results import RunIndices, Spread
 
 SMALL = 0.05
 """An error below this is small for any joint, in [rad]."""
@@ -185,27 +185,18 @@ def _folded(label: str, runs: Sequence[RunIndices]) -> RunIndices:
     quantities = tuple(q for q in first.quantities if all(q in run.quantities for run in runs))
     quartiles: dict[str | None, dict[str, Pair]] = {}
 
-    def median_of(joint: str | None) -> Callable[[Quantity], float]:
-        of_scope = quartiles.setdefault(joint, {})
-
-        def median(quantity: Quantity) -> float:
+    def medians(joint: str | None) -> dict[str, float]:
+        found, quartiles[joint] = {}, {}
+        for quantity in sorted(quantities, key=lambda each: joint is None and each in NORMS):
             values = [run.value(quantity, joint) for run in runs]
-            if any(math.isnan(value) for value in values):
-                return math.nan
-            middle, of_scope[quantity.key] = median_and_quartiles(values)
-            return middle
+            if not any(map(math.isnan, values)):
+                found[quantity.key], quartiles[joint][quantity.key] = median_and_quartiles(values)
+        return found
 
-        return median
-
-    joints = {name: _median_indices(quantities, median_of(name)) for name in first.joints}
-    of_all = median_of(None)
-    totals = _median_indices([q for q in quantities if q not in NORMS], of_all)
-    norms = {quantity.key: of_all(quantity) for quantity in NORMS}
     return RunIndices(
         label=label,
-        joints=joints,
-        totals=totals,
-        **norms,
+        joints={name: medians(name) for name in first.joints},
+        totals=medians(None),
         quantities=quantities,
         conditions=first.conditions,
         spread=Spread(len(runs), quartiles),
@@ -224,15 +215,6 @@ def _lacking(runs: Sequence[RunIndices], joint: str) -> dict[Data, str]:
         for run in reversed(runs)
         for data, reason in run.lacking.get(joint, {}).items()
     }
-
-
-def _median_indices(
-    quantities: Sequence[Quantity], median: Callable[[Quantity], float]
-) -> JointIndices:
-    core = {quantity.key: median(quantity) for quantity in INDICES}
-    further = {q.key: median(q) for q in quantities if q not in INDICES}
-    known = {key: value for key, value in further.items() if not math.isnan(value)}
-    return JointIndices(**core, further=known)
 
 
 BySeed = Mapping[int, float]

@@ -133,11 +133,8 @@ def find_quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
     return tuple(found)
 
 
-def folded(fold: Fold, values: Iterable[float]) -> float | None:
-    """Return the number for all joints; None if no joint has one."""
-    numbers = list(values)
-    if not numbers:
-        return None
+def folded(fold: Fold, numbers: Sequence[float]) -> float:
+    """Return the number for all joints, of at least one."""
     if fold is Fold.WORST:
         return max(numbers)
     if fold is Fold.SUM:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -44,6 +44,7 @@ from hpid_ros.metrics.quantities import (
     ANGLE_UNITS,
     CHATTER,
     DEGREES_PER_RADIAN,
+    EFFORT_L2,
     ERROR_L2,
     INDICES,
     ITAE,
@@ -160,25 +161,8 @@ def _unlike(
     return int(np.count_nonzero(unlike)) >= UNLIKE_KNOTS
 
 
-@dataclass(frozen=True)
-class JointIndices:
-    """The indices of one joint, or those of all joints."""
-
-    ivc: float  # [N m] total variation of the effort; nan without efforts
-    iavc: float  # [N m s] integral of the absolute effort; likewise
-    itae: float  # [rad s^2] integral of the absolute error times the time since the first state
-    further: Mapping[str, float] = field(default_factory=dict)
-
-    def value(self, quantity: Quantity) -> float:
-        """Return one number; nan if it is not defined."""
-        if quantity in INDICES:
-            return float(getattr(self, quantity.key))
-        return self.further.get(quantity.key, math.nan)
-
-    def as_mapping(self) -> dict[str, float | None]:
-        """Return the numbers by key for JSON: infinite ones None, undefined ones left out."""
-        values = {quantity.key: self.value(quantity) for quantity in INDICES} | dict(self.further)
-        return _for_json(values)
+Indices: TypeAlias = Mapping[str, float]
+"""The numbers of one joint, or of all joints, by key; what is not defined is not there."""
 
 
 @dataclass(frozen=True)
@@ -195,10 +179,8 @@ class RunIndices:
     """All numbers of one run, or the medians of several under one label."""
 
     label: str  # name of the run
-    joints: Mapping[str, JointIndices]  # indices by joint name, in the run's order
-    totals: JointIndices  # those of all joints; each quantity's fold says how they come about
-    effort_l2: float  # [N m s^0.5] L2 norm of the effort over all joints
-    error_l2: float  # [rad s^0.5] L2 norm of the error over all joints
+    joints: Mapping[str, Indices]  # by joint name, in the run's order
+    totals: Indices  # those of all joints; each quantity's fold says how they come about
     quantities: tuple[Quantity, ...] = (*INDICES, *NORMS)  # which quantities were computed
     conditions: Conditions | None = None  # under which conditions; None if that is not known
     spread: Spread | None = None  # how far repeated runs lie apart; None for a single one
@@ -219,12 +201,10 @@ class RunIndices:
         if quantity not in self.quantities:
             known = [each.key for each in self.quantities]
             raise SeriesError(f"run {self.label!r}: {unknown_name('index', quantity.key, known)}")
-        if joint is None:
-            in_norms = quantity in NORMS
-            return float(getattr(self, quantity.key)) if in_norms else self.totals.value(quantity)
-        if joint not in self.joints:
+        if joint is not None and joint not in self.joints:
             raise SeriesError(unknown_name("joint", joint, self.joints))
-        return self.joints[joint].value(quantity)
+        numbers = self.totals if joint is None else self.joints[joint]
+        return numbers.get(quantity.key, math.nan)
 
     def why_undefined(self, quantity: Quantity, joint: str | None = None) -> dict[str, str]:
         """Return why a number is not defined, by joint; empty where it is."""
@@ -243,14 +223,17 @@ class RunIndices:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the numbers with their units as plain dicts, ready for JSON."""
-        mapping: dict[str, object] = {
-            "label": self.label,
-            "units": self._units(),
-            **self._of_slides(),
-            "joints": {name: indices.as_mapping() for name, indices in self.joints.items()},
-            "totals": self.totals.as_mapping(),
-            **_for_json({quantity.key: self.value(quantity) for quantity in NORMS}),
+        totals = {key: _for_json(value) for key, value in self.totals.items()}
+        norms = {each.key: totals.pop(each.key) for each in NORMS if each.key in totals}
+        mapping: dict[str, object] = {"label": self.label, "units": self._units()}
+        if self.slides:
+            mapping["slides"] = [name for name in self.joints if name in self.slides]
+            mapping["joint_units"] = {name: self._units(name) for name in self.joints}
+        mapping["joints"] = {
+            name: {key: _for_json(value) for key, value in numbers.items()}
+            for name, numbers in self.joints.items()
         }
+        mapping |= {"totals": totals, **norms}
         if self.lacking:
             mapping["lacking"] = {
                 joint: {data.value: reason for data, reason in reasons.items()}
@@ -269,8 +252,7 @@ class RunIndices:
             mapping["repeats"] = self.spread.repeats
             mapping["quartiles"] = {
                 "totals" if joint is None else f"joints.{joint}": {
-                    key: [end if math.isfinite(end) else None for end in pair]
-                    for key, pair in quartiles.items()
+                    key: [_for_json(end) for end in pair] for key, pair in quartiles.items()
                 }
                 for joint, quartiles in self.spread.quartiles.items()
             }
@@ -279,23 +261,10 @@ class RunIndices:
     def _units(self, joint: str | None = None) -> dict[str, str]:
         return {each.key: self.unit(each, joint) for each in self.quantities}
 
-    def _of_slides(self) -> dict[str, object]:
-        if not self.slides:
-            return {}
-        slides = [name for name in self.joints if name in self.slides]
-        return {
-            "slides": slides,
-            "joint_units": {name: self._units(name) for name in self.joints},
-        }
 
-
-def _for_json(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Return numbers without the undefined ones; an infinite one becomes None."""
-    return {
-        key: value if math.isfinite(value) else None
-        for key, value in values.items()
-        if not math.isnan(value)
-    }
+def _for_json(value: float) -> float | None:
+    """Return a number for JSON, which knows no infinity."""
+    return value if math.isfinite(value) else None
 
 
 DEFAULT_CUTOFF = 20.0
@@ -304,18 +273,30 @@ DEFAULT_CUTOFF = 20.0
 
 def joint_indices(
     series: JointSeries, cutoff: float = DEFAULT_CUTOFF, effort_limit: float | None = None
-) -> JointIndices:
+) -> Indices:
     """Return the indices of one joint; time counts from its first state.
 
-    What needs a reference or efforts that the joint does not have is not defined (nan).
+    What needs a reference or efforts that the joint does not have is not there.
     """
+    # The order of the keys is that of files.
+    numbers: dict[str, float | None] = {}
     t, u = series.command_time, series.effort
-    return JointIndices(
-        ivc=total_variation(u) if series.has_effort else math.nan,
-        iavc=integral_of_absolute(t, u) if series.has_effort else math.nan,
-        itae=itae(series.time, series.error) if series.has_reference else math.nan,
-        further=_further(series, cutoff, effort_limit),
-    )
+    if series.has_effort:
+        numbers |= {"ivc": total_variation(u), "iavc": integral_of_absolute(t, u)}
+    if series.has_reference:
+        numbers["itae"] = itae(series.time, series.error)
+        numbers |= _error_numbers(series)
+    if series.has_effort:
+        numbers["effort_l2"] = l2_norm(t, u)
+    if series.has_reference:
+        numbers |= _worst_step(series)
+    if series.has_effort:
+        numbers |= {
+            "saturation": saturation_share(series, effort_limit),
+            "chatter": chatter(series, cutoff),
+            "energy": energy(series),
+        }
+    return {key: value for key, value in numbers.items() if value is not None}
 
 
 def run_indices(
@@ -339,26 +320,23 @@ def run_indices(
     joints = {s.joint: joint_indices(s, cutoff, limits.get(s.joint)) for s in run.joints}
     lacking = _lacking(run)
     missing = {data for reasons in lacking.values() for data in reasons}
+    norms = {}
+    if Data.EFFORT not in missing:
+        squares = (square_integral(s.command_time, s.effort) for s in run.joints)
+        norms[EFFORT_L2.key] = math.sqrt(math.fsum(squares))
+    if Data.REFERENCE not in missing:
+        squares = (square_integral(s.time, s.error) for s in run.joints)
+        norms[ERROR_L2.key] = math.sqrt(math.fsum(squares))
     return RunIndices(
         label=run.label,
         joints=joints,
-        totals=_totals(joints.values(), missing),
-        effort_l2=math.nan
-        if Data.EFFORT in missing
-        else _norm(square_integral(s.command_time, s.effort) for s in run.joints),
-        error_l2=math.nan
-        if Data.REFERENCE in missing
-        else _norm(square_integral(s.time, s.error) for s in run.joints),
+        totals=_totals(joints.values(), missing) | norms,
         quantities=tuple(QUANTITIES.values()),
         conditions=conditions_of(run, cutoff),
         lacking=lacking,
         assumed=_assumed(run),
         slides=run.slides,
     )
-
-
-def _norm(squares: Iterable[float]) -> float:
-    return math.sqrt(math.fsum(squares))
 
 
 def _lacking(run: RunSeries) -> dict[str, dict[Data, str]]:
@@ -386,39 +364,19 @@ def _assumed(run: RunSeries) -> dict[Data, str]:
     return assumed
 
 
-def _totals(joints: Iterable[JointIndices], missing: Collection[Data]) -> JointIndices:
+def _totals(joints: Iterable[Indices], missing: Collection[Data]) -> dict[str, float]:
     """Return what is so over all joints; nothing that needs what one of them lacks."""
     numbers = list(joints)
-    sums = {each.key: math.fsum(joint.value(each) for joint in numbers) for each in INDICES}
-    further = {}
-    for key, quantity in QUANTITIES.items():
-        if quantity in INDICES or quantity in NORMS or quantity.needs in missing:
+    totals = {}
+    for quantity in QUANTITIES.values():
+        if quantity in NORMS or quantity.needs in missing:
             continue
-        values = [joint.further[key] for joint in numbers if key in joint.further]
+        values = [joint[quantity.key] for joint in numbers if quantity.key in joint]
         if quantity.fold is Fold.SUM and len(values) < len(numbers):
             continue  # a sum without one of its joints would be too small
-        total = folded(quantity.fold, values)
-        if total is not None:
-            further[key] = total
-    return JointIndices(**sums, further=further)
-
-
-def _further(series: JointSeries, cutoff: float, limit: float | None) -> dict[str, float]:
-    # The order of the keys is that of files.
-    numbers: dict[str, float | None] = {}
-    if series.has_reference:
-        numbers |= _error_numbers(series)
-    if series.has_effort:
-        numbers["effort_l2"] = l2_norm(series.command_time, series.effort)
-    if series.has_reference:
-        numbers |= _worst_step(series)
-    if series.has_effort:
-        numbers |= {
-            "saturation": saturation_share(series, limit),
-            "chatter": chatter(series, cutoff),
-            "energy": energy(series),
-        }
-    return {key: value for key, value in numbers.items() if value is not None}
+        if values:
+            totals[quantity.key] = folded(quantity.fold, values)
+    return totals
 
 
 def _error_numbers(series: JointSeries) -> dict[str, float]:
@@ -464,73 +422,39 @@ def with_angles_in(run: RunIndices, angle_unit: str) -> RunIndices:
         raise SeriesError(unknown_name("unit of angles", angle_unit, ANGLE_UNITS))
     if angle_unit == run.angle_unit:
         return run
-    scale = DEGREES_PER_RADIAN if angle_unit == "deg" else 1.0 / DEGREES_PER_RADIAN
-    if run.slides:
-        return _beside_slides(run, angle_unit, scale)
-    return replace(
-        run,
-        joints={name: _scaled(indices, scale) for name, indices in run.joints.items()},
-        totals=_scaled(run.totals, scale),
-        error_l2=run.error_l2 * _factor(ERROR_L2, scale),
-        spread=None if run.spread is None else _scaled_spread(run.spread, scale),
-        angle_unit=angle_unit,
-    )
-
-
-def _beside_slides(run: RunIndices, angle_unit: str, scale: float) -> RunIndices:
-    """Return the numbers where some or all joints slide: these are left, totals folded again."""
-    if run.slides.issuperset(run.joints):
-        return replace(run, angle_unit=angle_unit)
-    if run.spread is not None:
+    if run.slides and run.spread is not None and not run.slides.issuperset(run.joints):
         raise SeriesError(
             f"run {run.label!r} is medians over joints that turn and slide: its totals cannot be "
             f"given in {angle_unit}; give the single runs"
         )
+    scale = DEGREES_PER_RADIAN if angle_unit == "deg" else 1.0 / DEGREES_PER_RADIAN
+    # Products and no powers: the same factors on every machine.
+    powers = (1.0, scale, scale * scale)
+    factors = {key: powers[each.angle_power] for key, each in QUANTITIES.items()}
+
+    def scaled(numbers: Indices) -> Indices:
+        return {key: value * factors[key] for key, value in numbers.items()}
+
     joints = {
-        name: indices if name in run.slides else _scaled(indices, scale)
-        for name, indices in run.joints.items()
+        name: numbers if name in run.slides else scaled(numbers)
+        for name, numbers in run.joints.items()
     }
-
-    def over_all(quantity: Quantity, before: float) -> float:
-        if not quantity.angle_power or math.isnan(before):
-            return before
-        values = (joint.value(quantity) for joint in joints.values())
-        total = folded(quantity.fold, [value for value in values if not math.isnan(value)])
-        return math.nan if total is None else total
-
-    further = {k: over_all(QUANTITIES[k], value) for k, value in run.totals.further.items()}
-    totals = replace(run.totals, itae=over_all(ITAE, run.totals.itae), further=further)
-    return replace(
-        run,
-        joints=joints,
-        totals=totals,
-        error_l2=over_all(ERROR_L2, run.error_l2),
-        angle_unit=angle_unit,
-    )
-
-
-def _factor(quantity: Quantity, scale: float) -> float:
-    # A product and no power: the same factor on every machine.
-    factor = 1.0
-    for _ in range(quantity.angle_power):
-        factor *= scale
-    return factor
-
-
-def _scaled(indices: JointIndices, scale: float) -> JointIndices:
-    further = {
-        key: value * _factor(QUANTITIES[key], scale) for key, value in indices.further.items()
-    }
-    return replace(indices, itae=indices.itae * _factor(ITAE, scale), further=further)
-
-
-def _scaled_spread(spread: Spread, scale: float) -> Spread:
-    def scaled(quartiles: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-        factors = {key: _factor(QUANTITIES[key], scale) for key in quartiles}
-        return {k: (low * factors[k], high * factors[k]) for k, (low, high) in quartiles.items()}
-
-    quartiles = {joint: scaled(values) for joint, values in spread.quartiles.items()}
-    return replace(spread, quartiles=quartiles)
+    if not run.slides:
+        totals, spread = scaled(run.totals), run.spread
+        if spread is not None:
+            quartiles = {
+                joint: {k: (factors[k] * low, factors[k] * high) for k, (low, high) in q.items()}
+                for joint, q in spread.quartiles.items()
+            }
+            spread = replace(spread, quartiles=quartiles)
+        return replace(run, joints=joints, totals=totals, spread=spread, angle_unit=angle_unit)
+    totals = dict(run.totals)
+    if not run.slides.issuperset(run.joints):  # those of both kinds are folded again
+        for key in run.totals:
+            values = [numbers[key] for numbers in joints.values() if key in numbers]
+            if QUANTITIES[key].angle_power and values:
+                totals[key] = folded(QUANTITIES[key].fold, values)
+    return replace(run, joints=joints, totals=totals, angle_unit=angle_unit)
 
 
 def runs_from_mapping(document: object, where: str) -> tuple[RunIndices, ...]:
@@ -576,8 +500,7 @@ def _run(label: str, entry: Mapping[str, Any]) -> RunIndices:
     return RunIndices(
         label=label,
         joints=joints,
-        totals=_indices(entry["totals"], missing),
-        **{quantity.key: _entry(entry, quantity, missing) for quantity in NORMS},
+        totals=_indices(entry["totals"], missing) | _numbers(entry, NORMS, missing),
         quantities=quantities,
         conditions=_conditions(entry.get("conditions")),
         spread=_spread(entry),
@@ -616,17 +539,20 @@ def _number(value: object) -> float:
     return float(value)
 
 
-def _entry(values: Mapping[str, object], quantity: Quantity, missing: Collection[Data]) -> float:
-    """Return a number that must be there unless the run lacks what it needs."""
-    if quantity.needs in missing and quantity.key not in values:
-        return math.nan
-    return _number(values[quantity.key])
+def _numbers(
+    values: Mapping[str, object], quantities: Iterable[Quantity], missing: Collection[Data]
+) -> dict[str, float]:
+    """Return numbers that must be there unless the run lacks what they need."""
+    return {
+        each.key: _number(values[each.key])
+        for each in quantities
+        if each.needs not in missing or each.key in values
+    }
 
 
-def _indices(values: Mapping[str, object], missing: Collection[Data]) -> JointIndices:
-    core = {quantity.key: _entry(values, quantity, missing) for quantity in INDICES}
-    further = {k: _number(v) for k, v in values.items() if k in QUANTITIES and k not in core}
-    return JointIndices(**core, further=further)
+def _indices(values: Mapping[str, object], missing: Collection[Data]) -> dict[str, float]:
+    further = {k: _number(v) for k, v in values.items() if k in QUANTITIES}
+    return _numbers(values, INDICES, missing) | further
 
 
 def _conditions(entry: Mapping[str, Any] | None) -> Conditions | None:

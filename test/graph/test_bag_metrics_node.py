@@ -65,10 +65,10 @@ def test_the_numbers_of_its_bags_are_latched_with_their_units(harness, heard, tm
     start(harness, bags=f"[{bag}]", keep_running=True, **options)
     harness.wait(lambda: heard, what="the indices")
     run = run_indices(read_run(bag, "first", selection=BagSelection(reference="hold")))
-    rmse = run.totals.further["rmse"]
-    expected = {"IVC [N]": run.totals.ivc, "RMSE [m]": rmse}
+    rmse = run.totals["rmse"]
+    expected = {"IVC [N]": run.totals["ivc"], "RMSE [m]": rmse}
     if not slides:
-        expected = {"IVC [N m]": run.totals.ivc, "RMSE [deg]": np.degrees(rmse)}
+        expected = {"IVC [N m]": run.totals["ivc"], "RMSE [deg]": np.degrees(rmse)}
     for name in ("first: elbow", "first: all joints"):
         found = {key: float(value) for key, value in values(heard[0])[name].items()}
         assert found == pytest.approx(expected)

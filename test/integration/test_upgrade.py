@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from harness.loops import loop_settings
+from harness.runs import indices
 
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
@@ -20,7 +21,7 @@ from hpid_ros.control.assembly import make_law
 from hpid_ros.control.controller_files import parameter_file, settings_from_parameter_file
 from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics import Comparison
-from hpid_ros.metrics.results import JointIndices, RunIndices
+from hpid_ros.metrics.results import RunIndices
 from hpid_ros.simulation.settings import Encoder
 from hpid_ros.stability.certification import certified_degree_interval, verify_certificate
 from hpid_ros.tuning.robot_identification import visited_poses
@@ -124,7 +125,7 @@ def test_balanced_needs_a_recording_and_forgets_the_joints_own_scales():
 def test_balanced_is_kept_or_left_for_the_robot_as_a_whole(ivc, itae, short):
     found = upgrade(pid(), (0.1, 0.2), "balanced", loop_statistics(recording(), 0.005))
     alone, proposed = prediction(elbow=1.0).runs
-    totals = replace(proposed, totals=JointIndices(ivc, 1.0, itae))
+    totals = replace(proposed, totals={**proposed.totals, "ivc": ivc, "itae": itae})
     kept = worthwhile(found, "balanced", Comparison((alone, totals)))
     assert (kept.settings.law == "pid") == bool(short)
     assert not short or short in kept.reasons["law"]
@@ -161,11 +162,12 @@ def prediction(**ratios):
     """Return a comparison whose hPID has these multiples of every index of the PID's."""
     runs = []
     for label in ("PID", "hPID"):
-        indices = {
-            joint: JointIndices(*[3.0 * (ratio if label == "hPID" else 1.0)] * 3)
+        joints = {
+            joint: indices(*[3.0 * (ratio if label == "hPID" else 1.0)] * 3)
             for joint, ratio in ratios.items()
         }
-        runs.append(RunIndices(label, indices, JointIndices(1.0, 1.0, 1.0), 1.0, 1.0))
+        totals = {**indices(1, 1, 1), "effort_l2": 1.0, "error_l2": 1.0}
+        runs.append(RunIndices(label, joints, totals))
     return Comparison(tuple(runs))
 
 

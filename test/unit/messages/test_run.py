@@ -495,7 +495,7 @@ def test_states_and_commands_without_common_time_give_one_warning_and_no_energy(
     numbers = run_indices(run)
     energy = find_quantities(["energy"])[0]
     assert all(math.isnan(numbers.value(energy, joint)) for joint in (None, "a", "b"))
-    assert numbers.joints["a"].ivc == 99.0
+    assert numbers.joints["a"]["ivc"] == 99.0
     assert run_indices(read(bag, clock="receive")).value(energy) > 0.0
 
 

@@ -126,8 +126,8 @@ def test_the_answer_comes_first_and_is_the_comparisons_own(text, runs):
 def test_the_table_holds_every_number_of_every_run(text, runs):
     for run in runs:
         numbers = run_indices(run)
-        totals = [r.totals.ivc for r in map(run_indices, runs)]
-        joints = [r.joints[j].ivc for r in map(run_indices, runs) for j in numbers.joints]
+        totals = [r.totals["ivc"] for r in map(run_indices, runs)]
+        joints = [r.joints[j]["ivc"] for r in map(run_indices, runs) for j in numbers.joints]
         for value in format_values([*totals, *joints]):
             assert f">{value}</td>" in text
 
@@ -160,7 +160,7 @@ def test_the_charts_hold_the_recorded_signals(text, runs):
     assert reference["run"] == -1
     assert set(floats(reference["y"])) == {2.0}
     trade_off = figures["trade_off"]["panels"][0]["lines"][1]
-    assert floats(trade_off["y"])[0] == np.float32(run_indices(runs[1]).totals.itae)
+    assert floats(trade_off["y"])[0] == np.float32(run_indices(runs[1]).totals["itae"])
 
 
 def test_a_long_run_of_many_joints_stays_a_small_page_and_keeps_its_peaks():
