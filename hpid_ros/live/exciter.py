@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
@@ -39,6 +38,9 @@ from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
 from hpid_ros.nodes.parts.goal_graph import GroupTopics
 from hpid_ros.nodes.parts.goals import GoalRequest, GroupSettings, JointFacts, ResultCode
 
+_LOOK_PERIOD = 0.05  # [s]
+_READY_WITHIN = 15.0  # [s]
+
 
 @dataclass(frozen=True)
 class OrderParameters(Record):
@@ -47,13 +49,45 @@ class OrderParameters(Record):
     plan_file: str = quantity("JSON file that hpid has written", default="")
 
 
-def read_order(node: Node) -> dict[str, Any]:
-    """Return what the file says that the parameter ``plan_file`` names."""
-    file = read(node, OrderParameters).plan_file
-    try:
-        return dict(json.loads(Path(file).read_text()))
-    except (OSError, ValueError, TypeError) as error:
-        raise SettingError(f"plan_file {file!r} cannot be read: {error}") from None
+class MovingNode(executor.ClosingNode):
+    """A process that moves joints once all is there, and tells its parent how that ended."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        file = read(self, OrderParameters).plan_file
+        try:
+            self.order: dict[str, Any] = dict(json.loads(Path(file).read_text()))
+        except (OSError, ValueError, TypeError) as error:
+            raise SettingError(f"plan_file {file!r} cannot be read: {error}") from None
+        self.status = StatusPipe(self)
+        self._waits_since = time.monotonic()
+        self._states = subscribe_raw(self, "joint_states", self.take_state, NEWEST_STATES)
+        steady_timer(self, _LOOK_PERIOD, self.look)
+
+    def take_state(self, raw: bytes) -> None:
+        """Take a message of the joints' states."""
+
+    def look(self) -> None:
+        """Do what is to be done now; called many times a second."""
+
+    def lacking(self) -> str:
+        """Return what is missing before anything may move; empty if all is there."""
+        infos = self.get_subscriptions_info_by_topic(self._states.topic_name)
+        if self.order["recorder"] in {info.node_name for info in infos}:
+            return ""
+        return "the recorder does not hear the states"
+
+    def is_ready(self) -> bool:
+        """Return whether nothing is missing; after a while that is a failure."""
+        lacking = self.lacking()
+        if lacking and time.monotonic() - self._waits_since > _READY_WITHIN:
+            self.fail(lacking)
+        return not lacking
+
+    def fail(self, reason: str) -> None:
+        """End without having moved anything."""
+        self.status.send("failed", reason=reason)
+        self.request_stop(executor.FAILED)
 
 
 _AT_ONCE = 65536
@@ -178,8 +212,6 @@ def goal_of(plan: ExcitationPlan, standing: Sequence[float]) -> GoalRequest:
     return GoalRequest(plan.names, 0, times_ns, arrays)
 
 
-_LOOK_PERIOD = 0.05  # [s]
-_READY_WITHIN = 15.0  # [s]
 _PRESSED_WITHIN = 60.0  # [s] from when it is ready
 _MOVED = 0.05  # [rad] from where a joint was when its excitation was planned
 _AT_REST = 0.02  # [rad/s]
@@ -187,18 +219,19 @@ _RESTS_WITHIN = 3.0  # [s] from the request to stop
 _STATES_WITHIN = 30.0  # [s] for states to come again, so that joints can be told to hold
 
 
-class Exciter(executor.ClosingNode):
+class Exciter(MovingNode):
     """The shell around one goal and one watch."""
 
     def __init__(self) -> None:
         super().__init__("hpid_exciter")
-        order = read_order(self)
+        order = self.order
         self._plan = plan = ExcitationPlan.from_mapping(order["plan"])
-        self._recorder = str(order.get("recorder", ""))
-        within = order.get("held_within")
+        within = order["held_within"]
         self._button = None if within is None else DeadMan(float(within))
-        self._ready_at: float | None = None
-        self._controllers = {each.bounds.controller for each in plan.joints}
+        self._has_said_ready = self._has_begun = self._is_untold = False
+        self._references = {
+            each.bounds.joint: f"{each.bounds.controller}/reference" for each in plan.joints
+        }
         self._follower = GoalFollower(
             group_settings(
                 plan,
@@ -208,45 +241,32 @@ class Exciter(executor.ClosingNode):
             )
         )
         self._watch = Watch(plan)
-        self._listen([each.bounds.controller for each in plan.joints])
-        self._status = StatusPipe(self)
-        self._reason = ""
-        self._has_begun = self._is_untold = False
-        self._resting: Future | None = None
-        self._born = self._ended = time.monotonic()
-        steady_timer(self, _LOOK_PERIOD, self._look)
-
-    def _listen(self, controllers: Sequence[str]) -> None:
-        names = self._plan.names
         self._standing: dict[str, float] = {}
         self._commanded: dict[str, float] = {}
         self._measured: dict[str, float] = {}
-        references = {
-            joint: f"{controller}/reference"
-            for joint, controller in zip(names, controllers, strict=True)
-        }
-        for topic in references.values():
+        for topic in self._references.values():
             self.create_subscription(
                 JointState, topic, self._on_reference, NEWEST_STATES, raw=True
             )
         self._efforts = EffortReader()
         subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
-        self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
         self._topics = GroupTopics(
             self,
             self._follower,
             ["joint_states"],
-            references,
+            self._references,
             self._act,
             lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0),
         )
+        self._reason, self._ended = "", 0.0
+        self._resting: Future | None = None
 
     def _on_reference(self, raw: bytes) -> None:
         fields = _decoded(raw)
         if fields is not None and len(fields.names) == len(fields.position) == 1:
             self._standing[fields.names[0]] = fields.position[0]
 
-    def _on_state(self, raw: bytes) -> None:
+    def take_state(self, raw: bytes) -> None:
         """Take the efforts that were measured; the follower's own subscription takes the rest."""
         if not self._commanded:  # commands are what the limits are of
             fields = _decoded(raw)
@@ -294,19 +314,21 @@ class Exciter(executor.ClosingNode):
         self._reason, self._ended = reason, time.monotonic()
         self._resting = Future()
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """Begin when all is ready, go on while the button is held, end when joints rest."""
         if self._resting is not None:
-            if self._is_at_rest() or self._is_late():
-                self._finish()
-        elif self._has_begun:
-            self._look_at_the_button()
-            self._tell_progress()
-        else:
+            patience = _STATES_WITHIN if self._is_untold else _RESTS_WITHIN
+            if self._is_at_rest() or time.monotonic() - self._ended > patience:
+                self._finish(self._resting)
+            return
+        if not self._has_begun:
             self._begin_when_ready()
-
-    def _look_at_the_button(self) -> None:
+            return
         if self._button is not None and not self._button.is_held():
             self._act(self._follower.leave("the button was released"))
+        feedback = self._follower.feedback()
+        if feedback is not None:
+            self.status.send("at", seconds=feedback.since_start_ns * 1e-9)
 
     def _is_at_rest(self) -> bool:
         """Return whether all joints rest; those that nobody could tell to stop may not."""
@@ -315,56 +337,40 @@ class Exciter(executor.ClosingNode):
         joints = range(len(self._plan.joints))
         return all(self._follower.speed(joint) < _AT_REST for joint in joints)
 
-    def _is_late(self) -> bool:
-        patience = _STATES_WITHIN if self._is_untold else _RESTS_WITHIN
-        return time.monotonic() - self._ended > patience
-
-    def _finish(self) -> None:
-        resting = self._resting
-        assert resting is not None
-        if resting.done():
-            return
-        event = "stopped" if self._reason else "done"
-        self._status.send(event, reason=self._reason, is_at_rest=self._is_at_rest())
-        resting.set_result(None)
-        self.request_stop(executor.FAILED if self._reason else 0)
-
-    def _tell_progress(self) -> None:
-        feedback = self._follower.feedback()
-        if feedback is not None:
-            self._status.send("at", seconds=feedback.since_start_ns * 1e-9)
+    def _finish(self, resting: Future) -> None:
+        if not resting.done():
+            event = "stopped" if self._reason else "done"
+            self.status.send(event, reason=self._reason, is_at_rest=self._is_at_rest())
+            resting.set_result(None)
+            self.request_stop(executor.FAILED if self._reason else 0)
 
     def _begin_when_ready(self) -> None:
-        if self._button is not None and not self._button.is_held() and self._button.is_gone:
+        button = self._button
+        if button is not None and not button.is_held() and button.is_gone:
             self._leave_unmoved("the button was released before anything moved")
             return
-        lacking = self._lacking()
-        if lacking:
-            if time.monotonic() - (self._ready_at or self._born) > _READY_WITHIN:
-                self._fail(lacking)
-            return
-        if self._button is not None and not self._is_pressed(self._button):
+        if not self.is_ready() or (button is not None and not self._is_pressed(button)):
             return
         try:
             standing = [self._standing[joint] for joint in self._plan.names]
             self._require_unmoved(standing)
             begun = self._follower.begin(goal_of(self._plan, standing))
         except HpidError as error:
-            self._fail(str(error))
+            self.fail(str(error))
             return
         self._has_begun = True
         self._act(begun)
-        self._status.send("begun")
+        self.status.send("begun")
 
     def _is_pressed(self, button: DeadMan) -> bool:
-        """Say once that all is ready, and tell whether the button has been pressed since."""
-        if self._ready_at is None:
-            self._ready_at = time.monotonic()
+        """Say once that all is ready, and return whether the button has been pressed since."""
+        if not self._has_said_ready:
+            self._has_said_ready, self._waits_since = True, time.monotonic()
             button.forget()
-            self._status.send("ready")
+            self.status.send("ready")
         if button.is_held():
             return True
-        if time.monotonic() - self._ready_at > _PRESSED_WITHIN:
+        if time.monotonic() - self._waits_since > _PRESSED_WITHIN:
             self._leave_unmoved(f"nobody pressed the button within {_PRESSED_WITHIN:g} s")
         return False
 
@@ -373,7 +379,7 @@ class Exciter(executor.ClosingNode):
         self._reason = reason
         self.request_stop(executor.FAILED)
 
-    def _lacking(self) -> str:
+    def lacking(self) -> str:
         """Return what is missing before the joints may move; empty if all is there."""
         against = self._follower.reason_against()
         if against:
@@ -384,16 +390,11 @@ class Exciter(executor.ClosingNode):
                     f"{planned.bounds.controller} tells no ~/reference: it must be active, with "
                     f"an introspection_rate other than 0"
                 )
-        deaf = self._controllers - self._topics.subscribers()
+        controllers = {each.bounds.controller for each in self._plan.joints}
+        deaf = controllers - self._topics.subscribers()
         if deaf:
             return f"{', '.join(sorted(deaf))} do not hear joint_trajectory as it is named here"
-        if self._recorder and self._recorder not in self._who_hears_states():
-            return "the recorder does not hear the states"
-        return ""
-
-    def _who_hears_states(self) -> set[str]:
-        infos = self.get_subscriptions_info_by_topic(self._states.topic_name)
-        return {info.node_name for info in infos}
+        return super().lacking()
 
     def _require_unmoved(self, standing: Sequence[float]) -> None:
         """Refuse joints that are not where they were when this was planned."""
@@ -407,10 +408,6 @@ class Exciter(executor.ClosingNode):
                     f"{bounds.joint} was at {bounds.position:.4g} {bounds.unit} when this was "
                     f"planned, and is told to stand at {reference:.4g} {bounds.unit} now"
                 )
-
-    def _fail(self, reason: str) -> None:
-        self._status.send("failed", reason=reason)
-        self.request_stop(executor.FAILED)
 
     def begin_stop(self) -> Future | None:
         """Stop the joints, and wait until they rest."""
@@ -426,7 +423,7 @@ class Exciter(executor.ClosingNode):
         self._topics.wait_until_acknowledged()
         if self._resting is None or not self._resting.done():
             is_at_rest = not self._has_begun or self._is_at_rest()
-            self._status.send("stopped", reason=self._reason, is_at_rest=is_at_rest)
+            self.status.send("stopped", reason=self._reason, is_at_rest=is_at_rest)
 
 
 def _decoded(raw: bytes) -> Any:

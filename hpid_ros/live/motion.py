@@ -14,7 +14,8 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from concurrent.futures import Future
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -53,15 +54,14 @@ class Button:
         self._process: subprocess.Popen[bytes] | None = None
         self._released_at: float | None = None
 
-    @property
-    def is_released(self) -> bool:
-        """Whether it has been released; it cannot be pressed again."""
-        return self._released_at is not None
-
     def press(self) -> None:
         """Say that it is held: several times in the time allowed, or joints stop."""
         with self._lock:
-            if self._process is None or self._process.stdin is None or self.is_released:
+            if (
+                self._process is None
+                or self._process.stdin is None
+                or self._released_at is not None
+            ):
                 return
             with suppress(BlockingIOError, BrokenPipeError):
                 os.write(self._process.stdin.fileno(), b".")
@@ -85,7 +85,7 @@ class Button:
         os.set_blocking(process.stdin.fileno(), False)
         with self._lock:
             self._process = process
-            if self.is_released:
+            if self._released_at is not None:
                 self._close()
         try:
             yield
@@ -158,10 +158,8 @@ def carried_out(
             process = group.start(
                 mover.name, mover.executable, of_mover, has_input=button is not None
             )
-            if button is None:
-                return _watched(mover, process, recorder, tell, lambda: False)
-            with button.held_for(process.process):
-                return _watched(mover, process, recorder, tell, button.is_overdue)
+            with button.held_for(process.process) if button else nullcontext():
+                return _watched(mover, process, recorder, tell, button)
 
 
 @contextmanager
@@ -202,12 +200,9 @@ def _watched(
     process: NodeProcess,
     recorder: NodeProcess,
     tell: Tell,
-    is_overdue: Callable[[], bool],
+    button: Button | None,
 ) -> Ending:
-    """Wait for the end; an interrupt, or the recorder's end, is a reason to stop.
-
-    So is an end that is overdue.
-    """
+    """Wait for the end; an interrupt, the recorder's end or one that is overdue is one, too."""
     try:
         while True:
             recorder.read_events()  # a pipe that nobody reads would hold the recorder up
@@ -216,7 +211,7 @@ def _watched(
                 return ending
             if recorder.process.poll() is not None:
                 return _stopped(mover, process, f"the recorder has ended: {recorder.last_words()}")
-            if is_overdue():
+            if button is not None and button.is_overdue():
                 return _stopped(mover, process, RELEASED)
             time.sleep(_LOOK_PERIOD)
     except KeyboardInterrupt:
@@ -349,11 +344,8 @@ def carry_out(
     return carried_out(_EXCITER, order, graph, space, bag, states, tell, button)
 
 
-HeldStage = Literal["preparing", "ready", "moving", "ended"]
-
-
 class HeldMotion:
-    """One motion, in a thread of its own; every method returns at once unless it says so.
+    """One motion, in a thread of its own; every method returns at once.
 
     It begins with the first :meth:`press` after it is ``ready``, goes on while presses come at
     least as often as they must, and otherwise the joints come to rest. It is recorded either way.
@@ -369,55 +361,35 @@ class HeldMotion:
         within: float = HELD_WITHIN,
     ) -> None:
         self.bag = bag
-        self.stage: HeldStage = "preparing"
+        self.stage: Literal["preparing", "ready", "moving", "ended"] = "preparing"
         self.seconds = 0.0
-        self._button = Button(within)
-        self._ending: Ending | None = None
-        self._failure: BaseException | None = None
-        self._has_ended = threading.Event()
-        arguments = (plan, controllers, graph, bag, states, self._tell, self._button)
+        self._button = button = Button(within)
+        self._ended: Future[Ending] = Future()
+        self.press = button.press  # says that the button is held
+        self.release = button.release  # joints come to rest; it cannot be taken up again
+
+        def run() -> None:
+            try:
+                self._ended.set_result(
+                    carry_out(plan, controllers, graph, bag, states, self._tell, button)
+                )
+            except BaseException as error:  # raised where somebody asks for the ending
+                self._ended.set_exception(error)
+            finally:
+                button.release()
+                self.stage = "ended"
+
         # Its children get SIGTERM from the kernel when the thread that started them ends.
-        self._thread = threading.Thread(
-            target=self._run, args=arguments, name="held motion", daemon=True
-        )
-        self._thread.start()
-
-    def press(self) -> None:
-        """Say that the button is held."""
-        self._button.press()
-
-    def release(self) -> None:
-        """Have the joints come to rest; the motion cannot be taken up again."""
-        self._button.release()
+        threading.Thread(target=run, name="held motion", daemon=True).start()
 
     @property
     def ending(self) -> Ending | None:
         """How it ended, once its recording is closed; None before."""
-        if self._failure is not None:
-            raise self._failure
-        return self._ending
-
-    def wait(self, timeout: float | None = None) -> Ending | None:
-        """Wait until it has ended, and its recording is closed."""
-        self._has_ended.wait(timeout)
-        return self.ending
-
-    def _run(self, *arguments: object) -> None:
-        try:
-            self._ending = carry_out(*arguments)  # type: ignore[arg-type]
-        except BaseException as error:  # raised where somebody waits for the end
-            self._failure = error
-        finally:
-            self._button.release()
-            self.stage = "ended"
-            self._has_ended.set()
+        return self._ended.result() if self._ended.done() else None
 
     def _tell(self, event: str, seconds: float) -> None:
         self.seconds = max(self.seconds, seconds)
-        if event == "ready":
-            self.stage = "ready"
-        elif event in ("begun", "at"):
-            self.stage = "moving"
+        self.stage = "ready" if event == "ready" else "moving"
 
 
 _UNSURE = 0.15  # of an inertia that only the limit cycle tells

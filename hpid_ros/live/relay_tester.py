@@ -14,43 +14,34 @@ from std_msgs.msg import Float64MultiArray
 
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.control.overrides import DONE
-from hpid_ros.live.exciter import read_order
+from hpid_ros.live.exciter import MovingNode
 from hpid_ros.nodes.core import executor
-from hpid_ros.nodes.core.middleware import NEWEST_STATES, RARE, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.core.middleware import RARE
 
-_LOOK_PERIOD = 0.05  # [s]
-_READY_WITHIN = 15.0  # [s]
 _ANSWERS_WITHIN = 3.0  # [s]; a controller tells how it is once a second
 _TAKEN_BACK_WITHIN = 1.0  # [s]
 _IN_FORCE = "; in force"
 
 
-class RelayTester(executor.ClosingNode):
+class RelayTester(MovingNode):
     """Allows relays, asks for one, listens to how it goes, and forbids them again."""
 
     def __init__(self) -> None:
         super().__init__("hpid_relay_tester")
-        order = read_order(self)
-        self._controller = str(order["controller"])
-        self._recorder = str(order["recorder"])
-        self._request = [float(each) for each in order["request"]]
+        self._controller = str(self.order["controller"])
         self._publisher = self.create_publisher(
             Float64MultiArray, f"{self._controller}/relay", RARE
         )
         self._setter = self.create_client(SetParameters, f"{self._controller}/set_parameters")
-        self._states = subscribe_raw(self, "joint_states", lambda raw: None, NEWEST_STATES)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RARE)
-        self._status = StatusPipe(self)
         self._told: dict[str, str] = {}
         self._refused = ""
-        self._born = self._heard = time.monotonic()
+        self._heard = 0.0
         self._begun: float | None = None
         self._was_in_force = self._is_over = False
         self._allowed: Future | None = None
         self._code, self._leave_at = 0, 0.0
         self._left = Future()
-        steady_timer(self, _LOOK_PERIOD, self._look)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -70,25 +61,22 @@ class RelayTester(executor.ClosingNode):
         elif self._told.get("refused references") != self._refused:
             self._end(self._told.get("last fault", "the relay was refused"))
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """Ask for the relay when all is ready; look for its end, and for silence."""
         now = time.monotonic()
         if self._is_over:
             if now > self._leave_at:
                 self._leave()
         elif self._begun is None:
-            lacking = self._lacking()
-            if lacking and now - self._born > _READY_WITHIN:
-                self._status.send("failed", reason=lacking)
-                self._finish(executor.FAILED)
-            elif not lacking and self._allowed is None:
+            if self.is_ready() and self._allowed is None:
                 self._allowed = self._allow(is_allowed=True)
                 self._allowed.add_done_callback(self._begin)
         elif now - self._heard > _ANSWERS_WITHIN:
             self._end(f"{self._controller} has told nothing for {_ANSWERS_WITHIN:g} s")
         else:
-            self._status.send("at", seconds=now - self._begun)
+            self.status.send("at", seconds=now - self._begun)
 
-    def _lacking(self) -> str:
+    def lacking(self) -> str:
         """Return what is missing before the relay may begin."""
         lifecycle = self._told.get("lifecycle")
         if lifecycle != "active":
@@ -97,12 +85,14 @@ class RelayTester(executor.ClosingNode):
             return f"{self._controller} does not hear ~/relay"
         if not self._setter.service_is_ready():
             return f"{self._controller} does not take parameters"
-        infos = self.get_subscriptions_info_by_topic(self._states.topic_name)
-        if self._recorder not in {info.node_name for info in infos}:
-            return "the recorder does not hear the states"
         if self._allowed is not None:
             return f"{self._controller} has not answered {ALLOW_RELAY}"
-        return ""
+        return super().lacking()
+
+    def fail(self, reason: str) -> None:
+        """End without a relay."""
+        self.status.send("failed", reason=reason)
+        self._finish(executor.FAILED)
 
     def _allow(self, *, is_allowed: bool) -> Future:
         """Set the parameter that lets ``~/relay`` in."""
@@ -114,20 +104,21 @@ class RelayTester(executor.ClosingNode):
             return
         (result,) = allowed.result().results
         if not result.successful:
-            self._status.send("failed", reason=f"{self._controller}: {result.reason}")
-            self._finish(executor.FAILED)
+            self.fail(f"{self._controller}: {result.reason}")
             return
         now = time.monotonic()
         self._refused = self._told.get("refused references", "")
         self._begun = self._heard = now
-        self._status.send("begun")
-        self._publisher.publish(Float64MultiArray(data=self._request))
+        self.status.send("begun")
+        self._publisher.publish(
+            Float64MultiArray(data=[float(each) for each in self.order["request"]])
+        )
 
     def _end(self, reason: str) -> None:
         if self._is_over:
             return
         event = "stopped" if reason else "done"
-        self._status.send(event, reason=reason, is_at_rest=True)
+        self.status.send(event, reason=reason, is_at_rest=True)
         self._finish(executor.FAILED if reason else 0)
 
     def _finish(self, code: int) -> None:
