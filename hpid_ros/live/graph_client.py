@@ -50,7 +50,6 @@ from hpid_ros.nodes.core.middleware import RARE, load_profile, steady_timer
 
 _TICK = 0.05  # [s]
 _LOOK_PERIOD, _FIRST_LOOKS, _AT_FIRST = 1.0, 0.25, 5.0  # [s]
-_LOOK_FOR_TOPICS = 1.0  # [s]
 _DECLARED_WITHIN = 0.3  # [s] without a new one, after which a node has declared its parameters
 _CHANGES_KEPT = 1000
 _ASKS = 3  # of a node that does not answer: it may not have found the client yet
@@ -65,27 +64,23 @@ A server that has not found the client yet waits for that when it answers, for 0
 executor: a controller would miss a hundred states.
 """
 
-_GET, _SET = "get_parameters", "set_parameters_atomically"
-_CHANGE, _STATE = "change_state", "get_state"
 _SERVICES = {
-    _GET: GetParameters,
-    _SET: SetParametersAtomically,
-    _CHANGE: ChangeState,
-    _STATE: GetState,
+    GetParameters: "get_parameters",
+    SetParametersAtomically: "set_parameters_atomically",
+    ChangeState: "change_state",
+    GetState: "get_state",
 }
 _OWN_FIGURE = "certified degrees"  # that joint controllers alone have on /diagnostics
 _LIFECYCLE, _SAMPLES, _LAST_FAULT = "lifecycle", "samples", "last fault"
 
+# with the labels of the states in which nothing is left to be done
 _TRANSITIONS = {
-    "configure": Transition.TRANSITION_CONFIGURE,
-    "activate": Transition.TRANSITION_ACTIVATE,
-    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "activate": (Transition.TRANSITION_ACTIVATE, ("active",)),
+    "deactivate": (
+        Transition.TRANSITION_DEACTIVATE,
+        ("inactive", "unconfigured", "finalized"),
+    ),
 }
-_SETTLED = {
-    "configure": ("inactive", "active"),
-    "activate": ("active",),
-    "deactivate": ("inactive", "unconfigured", "finalized"),
-}  # labels of the states in which nothing is left to be done
 
 StateOf = Callable[[str], tuple[float | None, float | None]]
 """Returns position and mean effort of a node's joint, None where unknown."""
@@ -124,7 +119,7 @@ class GraphClient:
         self._wanted: tuple[str, ...] = ()
         self._changes: deque[Change] = deque(maxlen=_CHANGES_KEPT)
         self._heard: set[Topic] = set()  # commands that others hear, too
-        self._clients: dict[tuple[str, str], tuple[Client, float]] = {}  # with when it was made
+        self._clients: dict[tuple[str, type], tuple[Client, float]] = {}  # with when it was made
         self._pending: list[_Pending] = []
         self._lifecycles: dict[str, Subscription] = {}
         self._next_look = self._next_topics = 0.0
@@ -199,22 +194,25 @@ class GraphClient:
 
         def take(response: Any) -> None:
             if response is None:
-                self._reread(node)
+                self._stale[node] = time.monotonic()
                 line = f"no answer within {_SET_WITHIN:g} s: it may have been taken"
                 _resolved(answer, Answer(False, line, is_certain=False))
                 return
-            if response.result.successful:  # whoever looks after the answer sees what is active
-                self._see(node, {each.name: each.value for each in parameters})
+            now, new = self._controllers[node].parameters, {p.name: p.value for p in parameters}
+            if response.result.successful and any(now.get(each) != new[each] for each in new):
+                # Its event is not here yet, and whoever looks after the answer sees what is active.
+                self._set(node, new)
+                self._stale[node] = time.monotonic() + _SEEN_WITHIN
             _resolved(answer, Answer(response.result.successful, response.result.reason))
 
         if not answer.done():
             messages = [each.to_parameter_msg() for each in parameters]
             request = SetParametersAtomically.Request(parameters=messages)
-            self._call(node, _SET, request, _SET_WITHIN, take)
+            self._call(node, SetParametersAtomically, request, _SET_WITHIN, take)
         return answer
 
     def change_state(self, node: str, transition: str) -> Future[Answer]:
-        """Have a controller go through a transition: configure, activate or deactivate."""
+        """Have a controller go through a transition: activate or deactivate."""
         answer = self._answer_of(node)
         if transition not in _TRANSITIONS:
             line = unknown_name("transition", transition, _TRANSITIONS)
@@ -235,21 +233,21 @@ class GraphClient:
                 _resolved(answer, Answer(False, line, is_certain=False))
             elif response.success:
                 _resolved(answer, Answer(True))
-            elif state in _SETTLED[transition]:
+            elif state in _TRANSITIONS[transition][1]:
                 _resolved(answer, Answer(True, f"{node} is {state} already"))
             else:  # why, its next report may tell
                 line = f"{node} did not {transition}: it is {state or 'in an unknown state'}"
                 self._wait(
                     node,
                     _REASON_WITHIN,
-                    lambda: self._fault(node) if self._fault(node) != before else None,
+                    new_fault,
                     lambda why: _resolved(
                         answer, Answer(False, f"{line}; {why}" if why else line)
                     ),
                 )
 
-        content = Transition(id=_TRANSITIONS[transition], label=transition)
-        self._call(node, _CHANGE, ChangeState.Request(transition=content), within, take)
+        content = Transition(id=_TRANSITIONS[transition][0], label=transition)
+        self._call(node, ChangeState, ChangeState.Request(transition=content), within, take)
         return answer
 
     def close(self) -> None:
@@ -271,15 +269,15 @@ class GraphClient:
 
     # Requests
 
-    def _client(self, node: str, service: str) -> tuple[Client, float]:
+    def _client(self, node: str, service: type) -> tuple[Client, float]:
         key = node, service
         if key not in self._clients:
-            client = self._node.create_client(_SERVICES[service], f"{node}/{service}")
+            client = self._node.create_client(service, f"{node}/{_SERVICES[service]}")
             self._clients[key] = client, time.monotonic()
         return self._clients[key]
 
     def _call(
-        self, node: str, service: str, request: Any, within: float, take: Callable[[Any], None]
+        self, node: str, service: type, request: Any, within: float, take: Callable[[Any], None]
     ) -> None:
         """Call a service, as soon as it is there and has found the client."""
         sent: list[RosFuture] = []
@@ -335,7 +333,7 @@ class GraphClient:
                 if name in self._here:
                     self._read(name)
         if now > self._next_topics:
-            self._next_topics = now + _LOOK_FOR_TOPICS
+            self._next_topics = now + _LOOK_PERIOD
             self._look_for_topics()
 
     def _look_for_nodes(self) -> None:
@@ -344,7 +342,7 @@ class GraphClient:
         A node that has other parameters is no controller of this package, and is not asked again
         before it has gone.
         """
-        end, kind = f"/{_GET}", "rcl_interfaces/srv/GetParameters"
+        end, kind = f"/{_SERVICES[GetParameters]}", "rcl_interfaces/srv/GetParameters"
         services = self._node.get_service_names_and_types()
         asked = [name for name, types in services if name.endswith(end) and kind in types]
         # A service that has a client is in this list, also where its node has gone; and so are
@@ -370,13 +368,10 @@ class GraphClient:
             self._node.destroy_subscription(self._lifecycles.pop(name))
         self._change(name, is_here=False, lifecycle="")
 
-    def _reread(self, name: str) -> None:
-        self._stale[name] = time.monotonic()
-
     def _read(self, name: str) -> None:
         self._asked[name] = self._asked.get(name, 0) + 1
         request = GetParameters.Request(names=READ_PARAMETERS)
-        self._call(name, _GET, request, _READ_WITHIN, partial(self._on_parameters, name))
+        self._call(name, GetParameters, request, _READ_WITHIN, partial(self._on_parameters, name))
 
     def _on_parameters(self, name: str, response: Any) -> None:
         if response is None and self._asked.get(name, _ASKS) < _ASKS:
@@ -410,7 +405,7 @@ class GraphClient:
             self._put(found)
         if is_same:
             return
-        for service in (_SET, _CHANGE):
+        for service in (SetParametersAtomically, ChangeState):
             self._client(name, service)  # so that it can be asked at once
         if name not in self._lifecycles:
             self._lifecycles[name] = self._node.create_subscription(
@@ -419,11 +414,12 @@ class GraphClient:
                 lambda message: self._change(name, lifecycle=message.goal_state.label),
                 RARE,
             )
-        self._call(name, _STATE, GetState.Request(), _STATE_WITHIN, partial(self._on_state, name))
 
-    def _on_state(self, name: str, response: Any) -> None:
-        if response is not None:
-            self._change(name, lifecycle=response.current_state.label)
+        def take(response: Any) -> None:
+            if response is not None:
+                self._change(name, lifecycle=response.current_state.label)
+
+        self._call(name, GetState, GetState.Request(), _STATE_WITHIN, take)
 
     def _change(self, name: str, **values: Any) -> None:
         with self._lock:
@@ -472,19 +468,12 @@ class GraphClient:
             }
             self._rewatch()
 
-    def _see(self, name: str, values: Mapping[str, Any]) -> None:
-        """Take note of what a controller has taken by its own word, before its event is here."""
-        now = self._controllers[name].parameters
-        if any(now.get(each) != value for each, value in values.items()):
-            self._set(name, values)
-            self._stale[name] = time.monotonic() + _SEEN_WITHIN
-
     def _set(self, name: str, values: Mapping[str, Any]) -> None:
         with self._lock:
             try:
                 self._put(self._controllers[name].with_parameters(values))
             except HpidError:  # it has been set again since
-                self._reread(name)
+                self._stale[name] = time.monotonic()
 
     def _on_event(self, raw: bytes) -> None:
         try:
@@ -492,7 +481,7 @@ class GraphClient:
         except MessageError:
             return
         if name in self._asked:  # what is read may be older than this
-            self._reread(name)
+            self._stale[name] = time.monotonic()
         if name not in self._controllers:
             return
         if declared.keys() & PARAMETERS.keys():  # it is another process
@@ -518,7 +507,7 @@ class GraphClient:
                     self._stale.setdefault(status.name, 0.0)
                 continue
             if before.health is not None and _may_be_other(before.health, health):
-                self._reread(status.name)
+                self._stale[status.name] = time.monotonic()
             self._change(status.name, health=health, lifecycle=figures.get(_LIFECYCLE, ""))
 
     def _fault(self, name: str) -> str:
