@@ -200,7 +200,7 @@ class GraphClient:
                 return
             now, new = self._controllers[node].parameters, {p.name: p.value for p in parameters}
             if response.result.successful and any(now.get(each) != new[each] for each in new):
-                # Its event is not here yet, and whoever looks after the answer sees what is active.
+                # Its event is not here yet, but whoever looks now sees what is active.
                 self._set(node, new)
                 self._stale[node] = time.monotonic() + _SEEN_WITHIN
             _resolved(answer, Answer(response.result.successful, response.result.reason))
