@@ -229,7 +229,7 @@ class Exciter(MovingNode):
         within = order["held_within"]
         self._button = None if within is None else DeadMan(float(within))
         self._has_said_ready = self._has_begun = self._is_untold = False
-        self._references = {
+        references = {
             each.bounds.joint: f"{each.bounds.controller}/reference" for each in plan.joints
         }
         self._follower = GoalFollower(
@@ -244,7 +244,7 @@ class Exciter(MovingNode):
         self._standing: dict[str, float] = {}
         self._commanded: dict[str, float] = {}
         self._measured: dict[str, float] = {}
-        for topic in self._references.values():
+        for topic in references.values():
             self.create_subscription(
                 JointState, topic, self._on_reference, NEWEST_STATES, raw=True
             )
@@ -254,7 +254,7 @@ class Exciter(MovingNode):
             self,
             self._follower,
             ["joint_states"],
-            self._references,
+            references,
             self._act,
             lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0),
         )
