@@ -123,13 +123,13 @@ def _jitter(seconds: float) -> Group:
         stolen = _stolen_time()
         options = GraphOptions(is_recorded=False, is_realtime=True)
         timing = timing_of(run_checked(tracking(1, seconds, ENGINE), LABEL, options, NoProgress()))
-        worst = max(timing.joints.values(), key=lambda joint: joint.period.p99)
+        worst = max(timing, key=lambda joint: joint["period"]["p99"])
         return {
-            "p99": worst.period.p99,
-            "median": worst.period.median,
-            "largest [us]": max(joint.period.maximum for joint in timing.joints.values()),
-            "states missed": float(sum(joint.missed for joint in timing.joints.values())),
-            "states of all joints": float(sum(joint.samples for joint in timing.joints.values())),
+            "p99": worst["period"]["p99"],
+            "median": worst["period"]["median"],
+            "largest [us]": max(joint["period"]["maximum"] for joint in timing),
+            "states missed": float(sum(joint["missed"] for joint in timing)),
+            "states of all joints": float(sum(joint["samples"] for joint in timing)),
             "stolen by the host [s]": _stolen_time() - stolen,
         }
 

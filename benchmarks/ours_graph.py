@@ -5,15 +5,16 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from rosbags.rosbag2 import Reader
 
 from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph
-from hpid_ros.experiment.in_process import Progress, RunReport, RunTiming
+from hpid_ros.experiment.in_process import Progress, RunReport
 
 
 class Clock:
@@ -68,7 +69,7 @@ def run_ours(experiment: Experiment, label: str, options: GraphOptions) -> Mappi
     """
     clock = Clock()
     report = run_checked(experiment, label, options, clock)
-    latencies = [joint.latency.median for joint in timing_of(report).joints.values()]
+    latencies = [joint["latency"]["median"] for joint in timing_of(report)]
     rate = clock.rate(experiment.world.control_period_ns * 1e-9)
     return {"rate": rate, "latency": statistics.median(latencies)}
 
@@ -98,15 +99,16 @@ def run_checked(
     return report
 
 
-def timing_of(report: RunReport) -> RunTiming:
-    """Return what the nodes measured.
+def timing_of(report: RunReport) -> Collection[Mapping[str, Any]]:
+    """Return what the nodes measured of each joint.
 
     Raises:
         RunError: They told nothing.
     """
-    if report.timing is None or not report.timing.joints:
+    if report.timing is None or not report.timing["joints"]:
         raise RunError("the nodes told nothing about their timing")
-    return report.timing
+    joints: Collection[Mapping[str, Any]] = report.timing["joints"].values()
+    return joints
 
 
 def _require_everything(bag: Path, states: int, joints: int) -> None:

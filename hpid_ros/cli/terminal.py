@@ -92,13 +92,14 @@ def print_timing(console: Console, report: RunReport, duration: float) -> None:
     if report.timing is None:
         return
     headings = ["period", "p99", "compute", "p99", "latency", "p99", "missed", "silent"]
-    cycle = report.timing.cycle
-    rows = [("(bridge)", [*_microseconds(cycle.median, cycle.p99), *[""] * 6])]
-    for joint, each in report.timing.joints.items():
-        spreads = (each.period, each.compute, each.latency)
-        figures = [figure for spread in spreads for figure in (spread.median, spread.p99)]
-        numbers = [*_microseconds(*figures), str(each.missed), str(each.unanswered)]
-        rows.append((joint, numbers))
+    cycle = report.timing["cycle"]
+    rows = [("(bridge)", [*_microseconds(cycle["median"], cycle["p99"]), *[""] * 6])]
+    for joint, each in report.timing["joints"].items():
+        spreads = (each[name] for name in ("period", "compute", "latency"))
+        figures = [spread[name] for spread in spreads for name in ("median", "p99")]
+        rows.append(
+            (joint, [*_microseconds(*figures), str(each["missed"]), str(each["unanswered"])])
+        )
     console.print()
     console.print(_table("joint, in us", headings, rows))
 

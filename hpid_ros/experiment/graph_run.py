@@ -223,14 +223,8 @@ def run_on_graph(
         run.take_events()  # what they said when they ended
         finished = run.events[nodes.bridge, "finished"]
         timing = run_timing(finished, run.timing)
-        return RunReport(
-            label,
-            wall_time=finished["wall_time"],
-            states=finished["states"],
-            processes=processes,
-            warnings=run.warnings,
-            timing=timing,
-        )
+        wall_time, states = finished["wall_time"], finished["states"]
+        return RunReport(label, wall_time, states, processes, run.warnings, timing)
 
 
 class _GraphRun:
@@ -365,11 +359,8 @@ def run_trial(experiment: Experiment, label: str, options: GraphOptions) -> str:
             short, label, folder / "bag", folder, NoProgress(), replace(options, is_realtime=False)
         )
     assert report.timing is not None
-    cycle = report.timing.cycle
-    period = experiment.world.control_period_ns * 1e-6
-    return trial_line(
-        report.states, cycle.median * _MILLISECONDS, cycle.p99 * _MILLISECONDS, period
-    )
+    median, p99 = (report.timing["cycle"][name] * _MILLISECONDS for name in ("median", "p99"))
+    return trial_line(report.states, median, p99, experiment.world.control_period_ns * 1e-6)
 
 
 def trial_line(cycles: int, median: float, p99: float, period: float) -> str:

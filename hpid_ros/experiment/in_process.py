@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import yaml
 
-from hpid_ros.base.durations import NOTHING, DurationSpread
+from hpid_ros.base.durations import NOTHING
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.control.joint_loop import JointLoop
@@ -120,55 +120,29 @@ def recorded_topics(settings: WorldSettings) -> list[str]:
     return ["joint_trajectory", "joint_commands", *recorded_reports(settings), "joint_states"]
 
 
-@dataclass(frozen=True)
-class JointTiming:
-    """One joint's controller, seen from itself and from the bridge."""
-
-    samples: int  # states that it answered
-    missed: int  # states that never reached it, by their stamps
-    unanswered: int  # states for which the bridge had no command of it
-    period: DurationSpread  # between two states
-    compute: DurationSpread  # from a state's bytes to the command handed to the middleware
-    latency: DurationSpread  # from a state's publication to the arrival of its answer
-
-
-@dataclass(frozen=True)
-class RunTiming:
-    cycle: DurationSpread  # between two states, as the bridge publishes them
-    joints: Mapping[str, JointTiming]  # by joint
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return all figures with their units, ready for JSON."""
-        return {
-            "unit": "us",
-            "cycle": self.cycle._asdict(),
-            "joints": {
-                joint: {
-                    name: value._asdict() if isinstance(value, DurationSpread) else value
-                    for name, value in vars(timing).items()
-                }
-                for joint, timing in self.joints.items()
-            },
-        }
-
-
 def run_timing(
     finished: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]
-) -> RunTiming:
-    bridge = finished["timing"]
+) -> dict[str, Any]:
+    """Return the durations that bridge and controllers measured, ready for JSON.
+
+    Of each joint, seen from itself and from the bridge: states that it answered, that never
+    reached it, and that have no answer; between two states, from a state's bytes to the command
+    handed to the middleware, and from a state's publication to the arrival of its answer.
+    """
+    bridge, counts = finished["timing"], finished["counts"]
     joints = {
-        joint: JointTiming(
-            samples=event["samples"],
-            missed=event["missed"],
-            unanswered=finished["counts"][joint]["unanswered"],
-            period=DurationSpread(**event["period"]),
-            compute=DurationSpread(**event["compute"]),
-            latency=DurationSpread(**bridge["latency"].get(joint, NOTHING._asdict())),
-        )
+        joint: {
+            "samples": event["samples"],
+            "missed": event["missed"],
+            "unanswered": counts[joint]["unanswered"],
+            "period": event["period"],
+            "compute": event["compute"],
+            "latency": bridge["latency"].get(joint, NOTHING._asdict()),
+        }
         for joint, event in controllers.items()
-        if joint in finished["counts"]
+        if joint in counts
     }
-    return RunTiming(DurationSpread(**bridge["cycle"]), joints)
+    return {"unit": "us", "cycle": bridge["cycle"], "joints": joints}
 
 
 class Progress(Protocol):
@@ -218,11 +192,10 @@ class RunReport:
     states: int  # states of the run
     processes: int  # processes that took part
     warnings: list[str] = field(default_factory=list)
-    timing: RunTiming | None = None  # what the nodes measured; None without nodes
+    timing: Mapping[str, Any] | None = None  # see run_timing; None without nodes
 
     def as_mapping(self) -> dict[str, object]:
-        timing = self.timing.as_mapping() if self.timing else None
-        return {**vars(self), "rate": self.rate, "timing": timing}
+        return {**vars(self), "rate": self.rate}
 
     @property
     def rate(self) -> float:

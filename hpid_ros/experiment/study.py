@@ -187,7 +187,7 @@ class StudyResult:
         """The numbers over the seeds, by ``entry.row(label)``."""
         entries = self.plan.entries
         return RunTable(
-            {e.row(k): self.plan.seeds(e) for e in entries for k in (e.baseline, *e.others)},
+            {e.row(k): self.plan.seeds(e) for e in entries for k in e.experiment.controllers},
             {e.row(label): e.row(e.baseline) for e in entries for label in e.others},
             self.records,
         )
@@ -282,27 +282,23 @@ class StudyResult:
 
     def _entry(self, entry: StudyEntry) -> dict[str, object]:
         experiment = entry.experiment
+        slides: dict[str, object] = {}
+        if any(entry.are_slides):  # and the units of totals
+            slides["slides"] = [each for each in entry.joints if each in experiment.slides]
+            slides["units"] = {q.key: unit_over(q.unit, entry.are_slides) for q in QUANTITIES}
         return {
             "file": experiment.path.name,
             "sha256": experiment.digest,
             "engine": entry.engine,
             "duration": experiment.duration,
             "joints": list(entry.joints),
-            **self._of_slides(entry),
+            **slides,
             "seeds": list(self.plan.seeds(entry)),
             "baseline": entry.baseline,
             "controllers": {
                 label: self._controller(entry, label) for label in experiment.controllers
             },
         }
-
-    def _of_slides(self, entry: StudyEntry) -> dict[str, object]:
-        """Return which joints slide, and the units of totals, where one does."""
-        if not any(entry.are_slides):
-            return {}
-        slides = [name for name, each in zip(entry.joints, entry.are_slides, strict=True) if each]
-        units = {q.key: unit_over(q.unit, entry.are_slides) for q in QUANTITIES}
-        return {"slides": slides, "units": units}
 
     def _controller(self, entry: StudyEntry, label: str) -> dict[str, object]:
         last = self.worst_last_error(entry, label)
@@ -341,7 +337,6 @@ class StudyResult:
 
 
 NOTHING = "-"
-_SHOWN = (*PAPER, OVERSHOOT)
 
 
 def grids(result: StudyResult) -> list[Grid]:
@@ -358,15 +353,6 @@ def grids(result: StudyResult) -> list[Grid]:
     for entry in entries:
         found += [_totals(result, entry), _joints(result, entry)]
     return found
-
-
-def study_text(result: StudyResult) -> str:
-    return grids_text(grids(result))
-
-
-def study_markdown(result: StudyResult) -> str:
-    """Return all tables as Markdown, each between comments that name it."""
-    return grids_markdown(grids(result))
 
 
 def _claims(result: StudyResult, label: str) -> Grid:
@@ -391,7 +377,7 @@ def _loops(result: StudyResult) -> Grid:
     every = [each for entry in result.plan.entries for each in entry.are_slides]
     heading = f"last |e| [{unit_over('rad', every)}]"
     for entry in result.plan.entries:
-        for label in (entry.baseline, *entry.others):
+        for label in entry.experiment.controllers:
             last = result.worst_last_error(entry, label)
             refusals = result.refusals(entry, label)
             settled = NOTHING if last is None else "yes" if last < SETTLED else "no"
@@ -408,29 +394,29 @@ def _loops(result: StudyResult) -> Grid:
 
 def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
     """Return every index of the baseline, then value and ratio of each other controller."""
+    table, labels = result.table, entry.experiment.controllers
     headings = ["index", entry.baseline]
     for label in entry.others:
         headings += [label, "ratio"]
     rows = []
-    for quantity in _SHOWN:
-        own = [
-            result.table.quartiles(entry.row(label), quantity)
-            for label in (entry.baseline, *entry.others)
-        ]
+    for quantity in (*PAPER, OVERSHOOT):
+        own = [table.quartiles(entry.row(label), quantity) for label in labels]
         if any(own):
             baseline, *values = _values(own)
             cells = [f"{quantity.symbol} [{unit_over(quantity.unit, entry.are_slides)}]", baseline]
             for label, value in zip(entry.others, values, strict=True):
-                cells += [value, _ratio(result.table.ratios(entry.row(label), quantity))]
+                cells += [value, _ratio(table.ratios(entry.row(label), quantity))]
             rows.append(tuple(cells))
     wins = [_wins(result, entry, label) for label in entry.others]
     rows.append(("ITAE lower in", NOTHING, *(cell for each in wins for cell in (each, NOTHING))))
-    notes = [result.table.note(entry.row(label)) for label in (entry.baseline, *entry.others)]
+    notes = [table.note(entry.row(label)) for label in labels]
     if any(notes):
         rows.append(("note", notes[0], *(cell for each in notes[1:] for cell in (each, ""))))
+    are_all = entry.joints == entry.experiment.world.joints
+    joints = f"all {len(entry.joints)} joints" if are_all else ", ".join(entry.joints)
     return Grid(
         f"totals {entry.name}",
-        f"{entry.name}: totals over {_enumerated(entry)}",
+        f"{entry.name}: totals over {joints}",
         tuple(headings),
         tuple(rows),
         f"Medians with quartiles over {_seeds(result)}; ratio to {entry.baseline} with the same "
@@ -441,14 +427,10 @@ def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
 def _joints(result: StudyResult, entry: StudyEntry) -> Grid:
     unit = unit_over("rad", entry.are_slides)
     rows = [
-        (
-            label,
-            joint,
-            *(_median(result.table.ratios(entry.row(label), q, joint)) for q in PAPER),
-            _error(result.worst_last_error(entry, label, joint)),
-        )
+        (label, joint, *ratios, _error(result.worst_last_error(entry, label, joint)))
         for label in entry.others
         for joint in entry.joints
+        for ratios in ([_median(result.table.ratios(entry.row(label), q, joint)) for q in PAPER],)
     ]
     return Grid(
         f"joints {entry.name}",
@@ -503,12 +485,6 @@ def _certified(refusals: dict[str, str]) -> str:
     joint, reason = next(iter(refusals.items()))
     more = f" and {len(refusals) - 1} more" if len(refusals) > 1 else ""
     return f"no: {joint}{more}: {reason}"
-
-
-def _enumerated(entry: StudyEntry) -> str:
-    if entry.joints == entry.experiment.world.joints:
-        return f"all {len(entry.joints)} joints"
-    return ", ".join(entry.joints)
 
 
 def _seeds(result: StudyResult) -> str:
@@ -582,8 +558,8 @@ def save(result: StudyResult, folder: ResultFolder, others: Iterable[JournalEntr
     _begin(result, folder, others)
     folder.write("runs.csv", runs_csv(result))
     folder.write("study.json", json.dumps(result.as_mapping(), indent=2) + "\n")
-    folder.write("tables.txt", study_text(result))
-    folder.write("tables.md", study_markdown(result))
+    folder.write("tables.txt", grids_text(grids(result)))
+    folder.write("tables.md", grids_markdown(grids(result)))
     totals = result.engine_totals()
     if totals:
         folder.write("engines.csv", engines_csv(totals))

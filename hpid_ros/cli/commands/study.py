@@ -29,8 +29,6 @@ from hpid_ros.experiment.study import (
     runs_csv,
     save,
     study_folder,
-    study_markdown,
-    study_text,
 )
 from hpid_ros.experiment.study_plan import (
     ALL,
@@ -42,6 +40,7 @@ from hpid_ros.experiment.study_plan import (
     plan_study,
     shard_of,
 )
+from hpid_ros.report.table import grids_markdown, grids_text
 
 
 def run(options: argparse.Namespace) -> int:
@@ -111,6 +110,7 @@ def _print(result: StudyResult, form: str) -> None:
             console.print(grid)
     elif form == "json":
         print(json.dumps(result.as_mapping(), indent=2))
+    elif form == "csv":
+        print(runs_csv(result), end="")
     else:
-        texts = {"text": study_text, "docs": study_markdown, "csv": runs_csv}
-        print(texts[form](result), end="")
+        print((grids_text if form == "text" else grids_markdown)(grids(result)), end="")
