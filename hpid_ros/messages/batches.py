@@ -11,7 +11,7 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,21 +79,6 @@ Report = Callable[[str], None]
 
 Advance = Callable[[int], None]
 """Takes the number of bytes of a file that are done."""
-
-
-class StorageFile(Protocol):
-    """One file of a bag."""
-
-    def topics(self) -> Mapping[str, TopicInfo]:
-        """Return its topics by full name."""
-
-    def batches(
-        self, topics: frozenset[str], report: Report, done: Advance
-    ) -> Iterator[TopicBatch]:
-        """Yield the messages of some topics; what cannot be read is reported, never raised."""
-
-    def close(self) -> None:
-        """Close the file."""
 
 
 LIMIT_VARIABLE = "HPID_UNPACK_LIMIT"

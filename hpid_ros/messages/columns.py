@@ -103,9 +103,9 @@ class Layout:
         return mask.view("<u8")
 
     def stamps_ns(self, rows: Words, which: Integers) -> Integers:
-        """Return the header stamps of some rows of this layout, (n,), in [ns]."""
+        """Return the header stamps of some rows of this layout, (n,), in [ns]; zero without."""
         if self.stamp is None:
-            raise MessageError("messages of this type have no stamp")
+            return np.zeros(len(which), dtype=np.int64)
         # A header is the first field, so that its stamp is one whole word of the row.
         words = np.ascontiguousarray(rows[:, (self.stamp + ENCAPSULATION) // WORD][which])
         stamps = words.view(f"{self.order}i4")[::2].astype(np.int64)
@@ -205,35 +205,43 @@ LAYOUTS: Mapping[str, Callable[[bytes], Layout]] = {
 class JointSamples(NamedTuple):
     """One joint's numbers in the order of the log."""
 
-    stamps_ns: Integers | None  # [ns] header stamps, (n,); None if the messages carry none
+    stamps_ns: Integers  # [ns] header stamps, (n,); zero if the messages carry none
     log_times_ns: Integers  # [ns] receive times, (n,)
     places: Integers  # ascending with the order of the files, (n,)
     values: Numbers  # the numbers, (n,)
 
+    @classmethod
+    def joined(cls, parts: Sequence[JointSamples]) -> JointSamples:
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
     def picked(self, which: Integers | NDArray[np.bool_]) -> JointSamples:
-        stamps_ns = None if self.stamps_ns is None else self.stamps_ns[which]
-        log_times_ns, places = self.log_times_ns[which], self.places[which]
-        return JointSamples(stamps_ns, log_times_ns, places, self.values[which])
+        stamps_ns, log_times_ns, places, values = self
+        return JointSamples(stamps_ns[which], log_times_ns[which], places[which], values[which])
+
+    def first_after(self, log_time_ns: int, place: int) -> int:
+        """Return the index of the first one that was logged after something else."""
+        begin = int(np.searchsorted(self.log_times_ns, log_time_ns))
+        end = int(np.searchsorted(self.log_times_ns, log_time_ns, "right"))
+        return begin + int(np.searchsorted(self.places[begin:end], place))
 
 
 class _Group:
     """Messages that carry numbers of the same joints, whose times these share."""
 
     def __init__(self, joints: Iterable[str]) -> None:
-        self.times: list[tuple[Integers | None, Integers, Integers]] = []
+        self.times: list[tuple[Integers, Integers, Integers]] = []
         self.values: dict[str, list[Numbers]] = {joint: [] for joint in joints}
 
     @cached_property
-    def clock(self) -> tuple[Integers | None, Integers, Integers]:
+    def clock(self) -> list[Integers]:
         """Stamps, log times and places."""
-        stamps, log_times, places = zip(*self.times, strict=True)
-        self.times.clear()
-        return _joined(stamps), np.concatenate(log_times), np.concatenate(places)
+        return [np.concatenate(each) for each in zip(*self.times, strict=True)]
 
-
-def _joined(parts: Sequence[Integers | None]) -> Integers | None:
-    known = [part for part in parts if part is not None]
-    return np.concatenate(known) if len(known) == len(parts) else None
+    def samples(self, joint: str) -> JointSamples:
+        """Return one joint's samples and forget its numbers."""
+        stamps_ns, log_times_ns, places = self.clock
+        values = np.concatenate(self.values.pop(joint))
+        return JointSamples(stamps_ns, log_times_ns, places, values)
 
 
 class JointStream:
@@ -265,18 +273,11 @@ class JointStream:
 
     def take(self, joint: str) -> JointSamples | None:
         """Return one joint's samples and forget them; None if there are none."""
-        parts = [
-            JointSamples(*group.clock, np.concatenate(group.values.pop(joint)))
-            for group in self._groups.values()
-            if joint in group.values
-        ]
+        parts = [g.samples(joint) for g in self._groups.values() if joint in g.values]
         self._groups = {joints: group for joints, group in self._groups.items() if group.values}
         if not parts:
             return None
-        samples = parts[0]
-        if len(parts) > 1:
-            stamps, *rest = zip(*parts, strict=True)
-            samples = JointSamples(_joined(stamps), *map(np.concatenate, rest))
+        samples = parts[0] if len(parts) == 1 else JointSamples.joined(parts)
         log_times, places = samples.log_times_ns, samples.places
         if (log_times[1:] >= log_times[:-1]).all() and (places[1:] > places[:-1]).all():
             return samples
@@ -316,7 +317,7 @@ class JointStream:
         if not columns:
             return
         group = self._groups.setdefault(tuple(columns), _Group(columns))
-        stamps = None if layout.stamp is None else layout.stamps_ns(rows, which)
+        stamps = layout.stamps_ns(rows, which)
         group.times.append((stamps, batch.log_times_ns[which], batch.places[which]))
         for joint, index in columns.items():
             group.values[joint].append(layout.column(rows, self._field, index)[which])

@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from hpid_ros.messages.run import RecordedRun
 
 
+_LATE = 1.5
+"""Periods between two stamps from which on a sample is taken to be missing."""
+
+
 class Ordered(NamedTuple):
     """Samples with strictly increasing stamps."""
 
@@ -53,6 +57,39 @@ class Ordered(NamedTuple):
             return self
         return self._replace(
             stamps_ns=self.stamps_ns[begin:end].copy(), values=self.values[begin:end].copy()
+        )
+
+    def quality(self, origin_ns: int) -> StampQuality:
+        """Return what the stamps say."""
+        stamps_ns, _, repeated, out_of_order, not_finite = self
+        counts = {"repeated": repeated, "out_of_order": out_of_order, "not_finite": not_finite}
+        if not len(stamps_ns):
+            return StampQuality(**counts)
+        begin, end = ((int(stamps_ns[k]) - origin_ns) / NANOSECONDS for k in (0, -1))
+        if len(stamps_ns) < 2:
+            return StampQuality(1, begin=begin, end=end, **counts)
+        steps = np.diff(stamps_ns)
+        period = float(np.median(steps))
+        late = np.flatnonzero(steps > _LATE * period)
+        missing = int(np.sum(np.rint(steps[late] / period) - 1.0))
+        # Samples that came late and then in a bunch are not missing.
+        room = round(int(stamps_ns[-1] - stamps_ns[0]) / period) + 1 - len(stamps_ns)
+        longest, at = 0.0, 0.0
+        if len(late):
+            where = int(late[np.argmax(steps[late])])
+            longest = float(steps[where]) / NANOSECONDS
+            at = (int(stamps_ns[where]) - origin_ns) / NANOSECONDS
+        return StampQuality(
+            len(stamps_ns),
+            period / NANOSECONDS,
+            begin,
+            end,
+            gaps=len(late),
+            lost=max(min(missing, room), 0),
+            gap_time=float(np.sum(steps[late])) / NANOSECONDS,
+            longest_gap=longest,
+            longest_gap_at=at,
+            **counts,
         )
 
 
@@ -121,66 +158,12 @@ def carried(
     return result
 
 
-_LATE = 1.5
-"""Periods between two stamps from which on a sample is taken to be missing."""
-
-
-def stamp_quality(
-    stamps_ns: Integers,
-    origin_ns: int,
-    *,
-    repeated: int = 0,
-    out_of_order: int = 0,
-    not_finite: int = 0,
-) -> StampQuality:
-    """Return what the stamps of one joint's samples say."""
-    counts = {"repeated": repeated, "out_of_order": out_of_order, "not_finite": not_finite}
-    if not len(stamps_ns):
-        return StampQuality(**counts)
-    begin, end = ((int(stamps_ns[k]) - origin_ns) / NANOSECONDS for k in (0, -1))
-    if len(stamps_ns) < 2:
-        return StampQuality(count=1, begin=begin, end=end, **counts)
-    steps = np.diff(stamps_ns)
-    period = float(np.median(steps))
-    late = np.flatnonzero(steps > _LATE * period)
-    longest = int(late[np.argmax(steps[late])]) if len(late) else -1
-    missing = int(np.sum(np.rint(steps[late] / period) - 1.0))
-    # Samples that came late and then in a bunch are not missing.
-    room = round(int(stamps_ns[-1] - stamps_ns[0]) / period) + 1 - len(stamps_ns)
-    return StampQuality(
-        count=len(stamps_ns),
-        period=period / NANOSECONDS,
-        begin=begin,
-        end=end,
-        gaps=len(late),
-        lost=max(min(missing, room), 0),
-        gap_time=float(np.sum(steps[late])) / NANOSECONDS,
-        longest_gap=float(steps[longest]) / NANOSECONDS if len(late) else 0.0,
-        longest_gap_at=((int(stamps_ns[longest]) - origin_ns) / NANOSECONDS if len(late) else 0.0),
-        **counts,
-    )
-
-
 class ReferenceEvent(NamedTuple):
     """A trajectory or setpoint of one joint, and its place in the log."""
 
     log_time_ns: int  # [ns] when it was recorded
     place: int  # its place in the files
     column: Column  # what the joint follows
-
-
-class LoggedStates(NamedTuple):
-    """One joint's states in the order of the log."""
-
-    log_times_ns: Integers  # [ns] when they were recorded, (n,)
-    places: Integers  # their places in the files, (n,)
-    stamps_ns: Integers  # [ns] their stamps, (n,)
-
-    def first_after(self, log_time_ns: int, place: int) -> int:
-        """Return the index of the first state that was logged after something else."""
-        begin = int(np.searchsorted(self.log_times_ns, log_time_ns))
-        end = int(np.searchsorted(self.log_times_ns, log_time_ns, "right"))
-        return begin + int(np.searchsorted(self.places[begin:end], place))
 
 
 class _Span(NamedTuple):
@@ -204,7 +187,7 @@ def setpoint_events(joint: str, setpoints: JointSamples) -> Iterator[ReferenceEv
 
 
 def sample_setpoints(
-    setpoints: JointSamples, states: LoggedStates, stamps_ns: Integers, first_position: float
+    setpoints: JointSamples, states: JointSamples, stamps_ns: Integers, first_position: float
 ) -> Numbers | None:
     """Return what :func:`sample_events` gives for setpoints alone, all at once."""
     order = np.lexsort((setpoints.places, setpoints.log_times_ns))
@@ -225,7 +208,7 @@ def sample_setpoints(
 
 def sample_events(
     events: Iterable[ReferenceEvent],
-    states: LoggedStates,
+    states: JointSamples,
     stamps_ns: Integers,
     first_position: float,
 ) -> Numbers:
@@ -265,7 +248,7 @@ def interpolate(stamps_ns: Integers, times_ns: Integers, values: Numbers) -> Num
     return sampled
 
 
-def first_state(event: ReferenceEvent, states: LoggedStates, stamps_ns: Integers) -> int:
+def first_state(event: ReferenceEvent, states: JointSamples, stamps_ns: Integers) -> int:
     """Return the index of the first state under a reference; the length if there is none."""
     begin = len(stamps_ns)
     following = states.first_after(event.log_time_ns, event.place)
@@ -349,9 +332,9 @@ class JointRun:
                 f"joint {joint!r}: position must be finite and below {LARGEST:g}, but no "
                 "state's is"
             )
-        self._samples = samples
-        self._stamps_ns = self._times(samples)
-        self.states = ordered(self._stamps_ns, samples.values, not_finite)
+        self._header_ns = samples.stamps_ns
+        self._samples = samples._replace(stamps_ns=self._times(samples))
+        self.states = ordered(self._samples.stamps_ns, samples.values, not_finite)
         if clock == "header" and len(samples.values) > 1 and not self.states.stamps_ns.any():
             raise SeriesError(
                 f"joint {joint!r}: its states carry no stamps; read them with clock 'receive'"
@@ -379,8 +362,8 @@ class JointRun:
             array.setflags(write=False)
         series = JointSeries(self._joint, *states[:2], reference, *commands[:2])
         quality = DataQuality(
-            states=_quality(states, window),
-            commands=_quality(commands, window),
+            states=states.quality(window.origin_ns),
+            commands=commands.quality(window.origin_ns),
             state_clock=self._clock,
             command_clock=command_clock,
             answers_states=answers,
@@ -395,8 +378,6 @@ class JointRun:
     def _times(self, samples: JointSamples) -> Integers:
         """Return the samples' times on the chosen clock."""
         times = samples.stamps_ns if self._clock == "header" else samples.log_times_ns
-        if times is None:
-            raise SeriesError(f"joint {self._joint!r}: its messages carry no stamps")
         return separated(times) if self._selection.separates_runs else times
 
     def _commands(self) -> tuple[Ordered, str, str]:
@@ -441,7 +422,7 @@ class JointRun:
         samples, not_finite = self._finite_efforts(samples)
         times, states = samples.log_times_ns, self._samples
         if self._clock == "header":
-            times = carried(times, states.log_times_ns, self._stamps_ns)
+            times = carried(times, states.log_times_ns, states.stamps_ns)
         return ordered(times, samples.values, not_finite)
 
     def _finite_efforts(self, samples: JointSamples) -> tuple[JointSamples, int]:
@@ -505,7 +486,7 @@ class JointRun:
         states: Ordered,
     ) -> _SampledReference:
         """Return the reference that trajectories and setpoints make together."""
-        logged, stamps_ns = self._logged_states(), states.stamps_ns
+        logged, stamps_ns = self._samples, states.stamps_ns
         first = float(states.values[0])
         kinds = dict.fromkeys(kind for kind, _ in trajectories)
         events = [event for _, event in trajectories]
@@ -554,28 +535,13 @@ class JointRun:
         samples, _ = finite(samples)
         return (f"setpoint {topic}", samples) if len(samples.values) else None
 
-    def _logged_states(self) -> LoggedStates:
-        samples = self._samples
-        return LoggedStates(samples.log_times_ns, samples.places, self._stamps_ns)
-
     def _on_clock(self, event: ReferenceEvent) -> ReferenceEvent:
         """Carry the start of a trajectory to the clock of the series."""
-        column, header = event.column, self._samples.stamps_ns
-        if self._clock == "header" or not column.stamp_ns or header is None:
+        column, header, states = event.column, self._header_ns, self._samples
+        if self._clock == "header" or not column.stamp_ns:
             return event
-        following = self._logged_states().first_after(event.log_time_ns, event.place)
-        following = min(following, len(header) - 1)
-        start_ns = column.stamp_ns + int(self._stamps_ns[following] - header[following])
+        following = min(states.first_after(event.log_time_ns, event.place), len(header) - 1)
+        start_ns = column.stamp_ns + int(states.stamps_ns[following] - header[following])
         if not header.any() or start_ns <= 0:
             start_ns = 0  # the states' headers do not say when it began
         return event._replace(column=dataclasses.replace(column, stamp_ns=start_ns))
-
-
-def _quality(samples: Ordered, window: Window) -> StampQuality:
-    return stamp_quality(
-        samples.stamps_ns,
-        window.origin_ns,
-        repeated=samples.repeated,
-        out_of_order=samples.out_of_order,
-        not_finite=samples.not_finite,
-    )

@@ -146,7 +146,6 @@ def require_nanoseconds(nanoseconds: int) -> None:
 
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_COUNT = struct.Struct("<I")
 
 STAMP_OFFSET = ENCAPSULATION
 NAMES_OFFSET = STAMP_OFFSET + 8
@@ -180,12 +179,6 @@ class JointStateFields(NamedTuple):
                 f"a JointState of {count} names must have {count} positions and 0 or {count} of "
                 f"{' and '.join(others)}, not {', '.join(map(str, lengths))}"
             )
-
-    def layout(self, raw: bytes) -> JointStateLayout | None:
-        """Return the layout of the message; None if big-endian or oddly padded."""
-        lengths = len(self.position), len(self.velocity), len(self.effort)
-        layout = JointStateLayout.for_fields(self.names, self.frame_id, lengths)
-        return layout if layout.matches(raw) else None
 
 
 def decode_joint_state(raw: bytes) -> JointStateFields:
@@ -225,35 +218,29 @@ class JointStateLayout:
     fixed: tuple[tuple[int, bytes], ...]
 
     @classmethod
-    def for_fields(
-        cls, names: Sequence[str], frame_id: str, lengths: tuple[int, int, int]
-    ) -> JointStateLayout:
-        """Lay out a message that has these names, this frame and arrays of these lengths."""
-        prefix = bytearray()
-        _append_string(prefix, frame_id)
-        _pad(prefix, 4)
-        prefix += _COUNT.pack(len(names))
-        for name in names:
-            _append_string(prefix, name)
-        _pad(prefix, 4)
-        fixed: list[tuple[int, bytes]] = []
-        offsets: list[int] = []
-        at, segment = NAMES_OFFSET, bytes(prefix)
-        for length in lengths:
-            segment += _COUNT.pack(length)
-            if length == 0:
-                offsets.append(0)
-                continue
-            end = at + len(segment)
-            segment += b"\x00" * (-(end - ENCAPSULATION) % _DOUBLE)
-            fixed.append((at, segment))
-            offsets.append(at + len(segment))
-            at, segment = at + len(segment) + length * _DOUBLE, b""
-        if segment:
-            fixed.append((at, segment))
+    def of(cls, raw: bytes) -> JointStateLayout | None:
+        """Return the layout of a message that can be decoded; None if it is big-endian."""
+        cursor = Cursor(raw, "JointState")
+        if cursor.order == ">":
+            return None
+        cursor.offset = at = NAMES_OFFSET
+        cursor.string()
+        names = cursor.strings()
+        offsets, lengths, fixed = [], [], []
+        for _ in range(3):
+            length = cursor.scalar("I")
+            lengths.append(length)
+            if length:
+                cursor.align(_DOUBLE)
+                fixed.append((at, bytes(raw[at : cursor.offset])))
+                at = cursor.offset + _DOUBLE * length
+            offsets.append(cursor.offset if length else 0)
+            cursor.offset += _DOUBLE * length
+        if at < len(raw):
+            fixed.append((at, bytes(raw[at:])))
         position, velocity, effort = offsets
-        size = at + len(segment)
-        return cls(tuple(names), size, position, velocity, effort, lengths, tuple(fixed))
+        counts = (lengths[0], lengths[1], lengths[2])
+        return cls(names, len(raw), position, velocity, effort, counts, tuple(fixed))
 
     def matches(self, raw: bytes) -> bool:
         """Return whether a message has this layout, byte for byte."""
@@ -281,12 +268,20 @@ class JointStateTemplate:
         effort: bool = False,
     ) -> None:
         count = len(names)
-        lengths = (count * position, count * velocity, count * effort)
-        self.layout = JointStateLayout.for_fields(names, frame_id, lengths)
-        self._buffer = bytearray(self.layout.size)
-        self._buffer[:ENCAPSULATION] = _LITTLE_ENDIAN
-        for offset, segment in self.layout.fixed:
-            self._buffer[offset : offset + len(segment)] = segment
+        writer = Writer()
+        writer.time(0)
+        writer.string(frame_id)
+        writer.scalar("I", count)
+        for name in names:
+            writer.string(name)
+        for is_given in (position, velocity, effort):
+            writer.scalar("I", count * is_given)
+            if count * is_given:
+                writer.doubles([0.0] * count)
+        self._buffer = bytearray(writer.raw)
+        layout = JointStateLayout.of(writer.raw)
+        assert layout is not None  # it is little-endian
+        self.layout = layout
         self._stamp = struct.Struct("<iI")
         self._doubles = struct.Struct(f"<{count}d")
 
@@ -307,17 +302,6 @@ class JointStateTemplate:
         if layout.effort:
             self._doubles.pack_into(buffer, layout.effort, *effort)
         return bytes(buffer)
-
-
-def _append_string(buffer: bytearray, text: str) -> None:
-    """Append a CDR string to bytes that start at an aligned offset."""
-    encoded = text.encode() + b"\x00"
-    _pad(buffer, 4)
-    buffer += _COUNT.pack(len(encoded)) + encoded
-
-
-def _pad(buffer: bytearray, size: int) -> None:
-    buffer += b"\x00" * (-len(buffer) % size)
 
 
 class JointSample(NamedTuple):
@@ -362,7 +346,7 @@ class JointReader:
             return None
         index = fields.place_of(self.joint)
         fields.require_lengths("velocity")
-        self._layout = layout = fields.layout(raw)
+        self._layout = layout = JointStateLayout.of(raw)
         if layout is not None:
             position = layout.position + 8 * index
             numbers = f"<iI{position - NAMES_OFFSET}xd"
@@ -413,13 +397,12 @@ class EffortReader:
         if len(fields.names) == 1 and not fields.position and not fields.velocity:
             key = raw[NAMES_OFFSET:-8]
             has_room = len(self._known) < self._KEYS_AT_MOST
-            if has_room and len(key) <= self._KEY_BYTES_AT_MOST and fields.layout(raw):
-                self._known[key] = fields.names, fields.frame_id
+            if has_room and len(key) <= self._KEY_BYTES_AT_MOST:
+                layout = JointStateLayout.of(raw)
+                if layout is not None and layout.effort == len(raw) - _DOUBLE:
+                    self._known[key] = fields.names, fields.frame_id
         self.sender = fields.frame_id
         return fields.stamp_ns, fields.names, fields.effort
-
-
-_Pick = Callable[[Sequence[float]], Sequence[float]]
 
 
 class RobotSample(NamedTuple):
@@ -439,41 +422,31 @@ class RobotReader:
     def __init__(self, joints: Sequence[str]) -> None:
         self.joints = tuple(joints)
         self._layout: JointStateLayout | None = None
-        self._numbers = struct.Struct("")
-        self._picks: tuple[_Pick | None, ...] = ()
+        self._arrays: tuple[tuple[int, struct.Struct] | None, ...] = ()
+        self._pick: Callable[[Sequence[float]], Sequence[float]] = tuple
 
     def read(self, raw: bytes) -> RobotSample:
         layout = self._layout
         if layout is None or not layout.matches(raw):
             return self._learn(raw)
-        numbers = self._numbers.unpack_from(raw, layout.position)
-        positions, velocities, efforts = self._picks
-        return RobotSample(
-            positions(numbers),  # type: ignore[misc]
-            None if velocities is None else velocities(numbers),
-            None if efforts is None else efforts(numbers),
-        )
+        pick = self._pick
+        position, velocity, effort = [
+            None if array is None else pick(array[1].unpack_from(raw, array[0]))
+            for array in self._arrays
+        ]
+        return RobotSample(position or (), velocity, effort)
 
     def _learn(self, raw: bytes) -> RobotSample:
         fields = decode_joint_state(raw)
         indices = [fields.place_of(joint) for joint in self.joints]
         fields.require_lengths("velocity", "effort")
-        arrays = fields.position, fields.velocity, fields.effort
-        self._layout = layout = fields.layout(raw)
+        self._layout = layout = JointStateLayout.of(raw)
         if layout is not None:
-            numbers, at, first = "<", layout.position, 0
-            picks: list[_Pick | None] = []
-            starts = layout.position, layout.velocity, layout.effort
-            for start, length in zip(starts, layout.lengths, strict=True):
-                if not length:
-                    picks.append(None)
-                    continue
-                numbers += f"{start - at}x{length}d"
-                at = start + _DOUBLE * length
-                picks.append(_picking([first + index for index in indices]))
-                first += length
-            self._numbers = struct.Struct(numbers)
-            self._picks = tuple(picks)
+            offsets = layout.position, layout.velocity, layout.effort
+            numbers = struct.Struct(f"<{len(layout.names)}d")
+            self._arrays = tuple((offset, numbers) if offset else None for offset in offsets)
+            self._pick = _picking(indices)
+        arrays = fields.position, fields.velocity, fields.effort
         found = [tuple(array[k] for k in indices) if array else None for array in arrays]
         return RobotSample(found[0] or (), found[1], found[2])
 
@@ -528,7 +501,7 @@ class GroupReader:
         )
         if places:
             fields.require_lengths("velocity")
-        layout = fields.layout(raw)
+        layout = JointStateLayout.of(raw)
         if layout is not None and len(self._known) < self._LAYOUTS_AT_MOST:
             numbers = struct.Struct(f"<{len(fields.names)}d")
             self._known.append((layout, numbers, places))
@@ -538,7 +511,7 @@ class GroupReader:
         ]
 
 
-def _picking(places: Sequence[int]) -> _Pick:
+def _picking(places: Sequence[int]) -> Callable[[Sequence[float]], Sequence[float]]:
     """Return what takes the numbers at some places."""
     if list(places) == list(range(places[0], places[0] + len(places))):
         return itemgetter(slice(places[0], places[0] + len(places)))

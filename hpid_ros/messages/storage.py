@@ -34,7 +34,6 @@ from hpid_ros.messages.batches import (
     Allowance,
     Integers,
     Report,
-    StorageFile,
     TopicBatch,
     TopicInfo,
     batch_of,
@@ -426,7 +425,7 @@ class Storage:
         self._counts = counts_of(metadata)
         custom = metadata.get("custom_data") if metadata else custom_data(self.path)
         self.custom_data = _texts(custom) if isinstance(custom, dict) else {}
-        self._files: list[tuple[StorageFile, Report, int]] = []
+        self._files: list[tuple[McapFile | SqliteFile, Report, int]] = []
         for file in self._paths(metadata):
             try:
                 self._open(file)
@@ -491,8 +490,7 @@ class Storage:
 
         if path.suffix == _ZSTD:
             path = self._decompressed(path, report)
-        make = McapFile if suffix == ".mcap" else SqliteFile
-        file: StorageFile = make(path, report)
+        file = (McapFile if suffix == ".mcap" else SqliteFile)(path, report)
         self._stack.callback(file.close)
         self._files.append((file, report, size))
 

@@ -30,7 +30,6 @@ from hpid_ros.control import Gains, JointLoop
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.columns import JointSamples
 from hpid_ros.messages.joint_run import (
-    LoggedStates,
     ReferenceEvent,
     sample_events,
     sample_setpoints,
@@ -268,7 +267,7 @@ def columns(draw):
 @given(columns(), st.integers(1, 5 * S), st.lists(st.integers(1, 8 * S), max_size=30), numbers)
 def test_arrays_of_references_are_those_of_the_spline_to_the_bit(column, first, later, hold):
     stamps = np.unique(np.array([first, *[first + each for each in later]], dtype=np.int64))
-    logged = LoggedStates(stamps, stamps, stamps)
+    logged = JointSamples(stamps, stamps, stamps, np.zeros(len(stamps)))
     sampled = sample_events([ReferenceEvent(0, 0, column)], logged, stamps, hold)
     spline = column.start(first, hold)
     expected = np.array([spline.sample(stamp).position for stamp in stamps.tolist()])
@@ -282,10 +281,11 @@ def test_arrays_of_references_are_those_of_the_spline_to_the_bit(column, first, 
 def test_setpoints_taken_at_once_are_those_taken_one_by_one(told, logged):
     logged.sort(key=lambda state: state[0])
     columns = [np.array(column, dtype=np.int64) for column in zip(*logged, strict=True)]
-    states = LoggedStates(columns[0], 2 * np.arange(len(logged)) + 1, columns[1])
+    places = 2 * np.arange(len(logged)) + 1
+    states = JointSamples(columns[1], columns[0], places, np.zeros(len(logged)))
     stamps_ns = np.unique(states.stamps_ns)
     log_times, places = (np.array([each[k] for each in told], dtype=np.int64) for k in (0, 1))
-    setpoints = JointSamples(None, log_times, places, 1.0 + np.arange(len(told)))
+    setpoints = JointSamples(0 * places, log_times, places, 1.0 + np.arange(len(told)))
     events = sorted(setpoint_events("a", setpoints), key=lambda event: event[:2])
     expected = sample_events(events, states, stamps_ns, 0.5)
     found = sample_setpoints(setpoints, states, stamps_ns, 0.5)
