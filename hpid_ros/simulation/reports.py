@@ -22,7 +22,6 @@ from hpid_ros.robot.differential_drive import (
     BaseTwist,
     DifferentialDrive,
     Odometry,
-    PlanarCovariance,
     PlanarPose,
     chord_share,
 )
@@ -61,7 +60,7 @@ class SlipMeter:
         self._drive, self._wheels, self._pose = drive, wheels, pose
         self.slip = Slip(0.0, 0.0, 0.0)
 
-    def update(self, wheels: tuple[float, float], pose: PlanarPose) -> Slip:
+    def update(self, wheels: tuple[float, float], pose: PlanarPose) -> None:
         """Take where wheels and base are one period later, as in the constructor."""
         drive, before = self._drive, self._pose
         of_left, of_right = (
@@ -80,7 +79,6 @@ class SlipMeter:
             lateral + abs(dy * c - dx * s),
         )
         self._wheels, self._pose = wheels, pose
-        return self.slip
 
 
 REPORT_RATE = 50.0
@@ -112,15 +110,12 @@ class ReportTimes:
         return True
 
 
-class BaseReport(NamedTuple):
-    """Odometry of the wheels, with how far they slid."""
+OdometryValues = tuple[Pose, Sequence[float], Twist, Sequence[float]]
+"""Pose of a base in ``odom``, twist in its own frame (REP 105), each with its covariance.
 
-    stamp_ns: int  # [ns] of the state
-    pose: PlanarPose  # where the base is by its wheels, from where it stood at time 0
-    covariance: PlanarCovariance  # of the pose
-    twist: BaseTwist  # by the wheels, its mean since the report before
-    twist_variance: tuple[float, float]  # of the linear [m^2/s^2] and the angular rate [rad^2/s^2]
-    slip: Slip  # of the wheels up to now
+Of x, y, z and the rotations about them, row by row, 36 numbers, in [m^2], [m rad], [rad^2], and
+the same units per s^2 of the twist.
+"""
 
 
 class BaseMonitor:
@@ -133,7 +128,8 @@ class BaseMonitor:
         self.drive: DifferentialDrive = settings.base
         self._world = world
         self._left, self._right = (settings.joints.index(joint) for joint in self.drive.joints)
-        steps = [math.tau / count for count in self._counts() if count]
+        counts = settings.counts[self._left], settings.counts[self._right]
+        steps = [math.tau / count for count in counts if count]
         self._quantum = self.drive.radius * max(steps, default=0.0)  # [m]
         self._stamp_ns: int | None = None
         self._odometry: Odometry
@@ -168,30 +164,28 @@ class BaseMonitor:
             self._slip.update(wheels, pose)
         self._stamp_ns = now_ns
 
-    def report(self) -> BaseReport:
-        """Return how the base is now; the next twist counts from here."""
+    def report(self) -> OdometryValues:
+        """Return odometry of the wheels; its twist is the mean since the report before."""
         if self._stamp_ns is None:
             raise SettingError("a base can be reported when a state has been noted, not before")
         odometry = self._odometry
         then_ns, distance, turn = self._before
         seconds = (self._stamp_ns - then_ns) / NANOSECONDS
-        twist, variance = BaseTwist(0.0, 0.0), (0.0, 0.0)
+        twist, of_wheel = BaseTwist(0.0, 0.0), 0.0
         if seconds > 0.0:
             twist = odometry.twist_between(distance, turn, seconds)
-            variance = self._twist_variance(seconds)
+            # What two roundings of each encoder leave of a difference of readings.
+            of_wheel = self._quantum**2 / 6.0 / seconds**2
+        linear, angular = 0.5 * of_wheel, 2.0 * of_wheel / self.drive.separation**2
         self._before = self._stamp_ns, odometry.distance, odometry.turn
-        return BaseReport(
-            self._stamp_ns, odometry.pose, odometry.covariance, twist, variance, self._slip.slip
+        x, y, heading = odometry.pose
+        xx, xy, xh, yy, yh, hh = odometry.covariance
+        return (
+            Pose((x, y, 0.0), (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))),
+            _planar_covariance([[xx, xy, xh], [xy, yy, yh], [xh, yh, hh]]),
+            Twist((twist.linear, 0.0, 0.0), (0.0, 0.0, twist.angular)),
+            _planar_covariance(np.diag([linear, linear, angular])),
         )
-
-    def _counts(self) -> tuple[int, int]:
-        counts = self._world.settings.counts
-        return counts[self._left], counts[self._right]
-
-    def _twist_variance(self, seconds: float) -> tuple[float, float]:
-        """Return what two roundings of each encoder leave of a difference of readings."""
-        of_wheel = self._quantum**2 / 6.0 / seconds**2
-        return 0.5 * of_wheel, 2.0 * of_wheel / self.drive.separation**2
 
 
 def planar(pose: Pose) -> PlanarPose:
@@ -204,24 +198,6 @@ def planar(pose: Pose) -> PlanarPose:
 ODOM_FRAME = "odom"
 UNMEASURED = 1e6
 """Variance of what wheels do not measure: height, roll, pitch and their rates."""
-
-OdometryValues = tuple[Pose, Sequence[float], Twist, Sequence[float]]
-"""Pose of a base in ``odom``, twist in its own frame (REP 105), each with its covariance.
-
-Of x, y, z and the rotations about them, row by row, 36 numbers, in [m^2], [m rad], [rad^2], and
-the same units per s^2 of the twist.
-"""
-
-
-def wheel_odometry(report: BaseReport) -> OdometryValues:
-    x, y, heading = report.pose
-    (xx, xy, xh, yy, yh, hh), (linear, angular) = report.covariance, report.twist_variance
-    return (
-        Pose((x, y, 0.0), (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))),
-        _planar_covariance([[xx, xy, xh], [xy, yy, yh], [xh, yh, hh]]),
-        Twist((report.twist.linear, 0.0, 0.0), (0.0, 0.0, report.twist.angular)),
-        _planar_covariance(np.diag([linear, linear, angular])),
-    )
 
 
 def true_odometry(world: World) -> OdometryValues:
@@ -346,10 +322,10 @@ class Reports:
         if self._monitor is None:
             yield ODOM, lambda: self._odometry(header, true_odometry(world))
         else:
-            report = self._monitor.report()
-            yield ODOM, lambda: self._odometry(header, wheel_odometry(report))
+            odometry = self._monitor.report()
+            yield ODOM, lambda: self._odometry(header, odometry)
             of_root = header._replace(frame=self._root)
-            yield SLIP, partial(wire.encode_vector, of_root, report.slip)
+            yield SLIP, partial(wire.encode_vector, of_root, self._monitor.slip)
         yield TRUTH, lambda: self._odometry(header, true_odometry(world))
         yield END_EFFECTOR, lambda: wire.encode_pose(header, world.link_pose(self._link))
         gripper = world.gripper

@@ -17,19 +17,20 @@ from hpid_ros.nodes.bag_metrics import FinishedBags
 from hpid_ros.nodes.core.middleware import LATCHED
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+JOINTS = ["elbow", "lift"]
 
 
 def record(path, gain=1.0):
-    """Write a bag of one joint that swings about its start."""
-    state = JointStateTemplate(["elbow"], position=True)
-    command = JointStateTemplate(["elbow"], effort=True)
+    """Write a bag of two joints that swing about their start."""
+    state = JointStateTemplate(JOINTS, position=True)
+    command = JointStateTemplate(JOINTS, effort=True)
     with BagWriter(path) as bag:
         states = bag.add_topic("/joint_states", JOINT_STATE)
         commands = bag.add_topic("/joint_commands", JOINT_STATE)
         for k, position in enumerate(np.sin(np.arange(500) / 50.0)):
             stamp_ns = 1_000_000 * k
-            bag.write(states, 1 + stamp_ns, state.encode(stamp_ns, position=[position]))
-            effort = [-gain * position]
+            bag.write(states, 1 + stamp_ns, state.encode(stamp_ns, position=[position] * 2))
+            effort = [-gain * position] * 2
             bag.write(commands, 2 + stamp_ns, command.encode(stamp_ns, effort=effort))
     return path
 
@@ -52,26 +53,29 @@ def values(message):
     return {status.name: {v.key: v.value for v in status.values} for status in message.status}
 
 
-SLIDE = """<robot name="slide"><link name="a"/><link name="b"/><joint name="elbow"
-type="prismatic"><parent link="a"/><child link="b"/></joint></robot>"""
+ROBOT = """<robot name="slide"><link name="a"/><link name="b"/><link name="c"/>
+<joint name="elbow" type="continuous"><parent link="a"/><child link="b"/></joint>
+<joint name="lift" type="prismatic"><parent link="b"/><child link="c"/></joint></robot>"""
 
 
-@pytest.mark.parametrize("slides", [False, True])
-def test_the_numbers_of_its_bags_are_latched_with_their_units(harness, heard, tmp_path, slides):
-    bag, urdf = record(tmp_path / "first"), tmp_path / "slide.urdf"
-    urdf.write_text(SLIDE)
+def test_the_numbers_of_its_bags_are_latched_with_their_units(harness, heard, tmp_path):
+    bag, urdf = record(tmp_path / "first"), tmp_path / "robot.urdf"
+    urdf.write_text(ROBOT)
     options = {"indices": "ivc,rmse", "units": "deg", "reference": "hold"}
-    options |= {"robot_description": urdf} if slides else {}
-    start(harness, bags=f"[{bag}]", keep_running=True, **options)
+    start(harness, bags=f"[{bag}]", keep_running=True, robot_description=urdf, **options)
     harness.wait(lambda: heard, what="the indices")
     run = run_indices(read_run(bag, "first", selection=BagSelection(reference="hold")))
-    rmse = run.totals["rmse"]
-    expected = {"IVC [N]": run.totals["ivc"], "RMSE [m]": rmse}
-    if not slides:
-        expected = {"IVC [N m]": run.totals["ivc"], "RMSE [deg]": np.degrees(rmse)}
-    for name in ("first: elbow", "first: all joints"):
-        found = {key: float(value) for key, value in values(heard[0])[name].items()}
+    for joint, force, length, turn in (
+        ("elbow", "N m", "deg", np.degrees(1.0)),
+        ("lift", "N", "m", 1.0),
+    ):
+        known = run.joints[joint]
+        rmse = turn * known["rmse"]
+        told = values(heard[0])[f"first: {joint}"]
+        found = {key: float(value) for key, value in told.items()}
+        expected = {f"IVC [{force}]": known["ivc"], f"RMSE [{length}]": rmse}
         assert found == pytest.approx(expected)
+    assert set(values(heard[0])["first: all joints"]) == {"IVC [N m, N]", "RMSE [deg, m]"}
 
 
 def test_each_bag_that_is_finished_in_a_watched_folder_is_reported(harness, heard, tmp_path):
