@@ -403,11 +403,6 @@ class WorldSettings:
         return noise if isinstance(noise, tuple) else (float(noise),) * len(self.joints)
 
     @property
-    def homings(self) -> tuple[Homing | None, ...]:
-        """The homing run of each driven joint."""
-        return self.homing or (None,) * len(self.joints)
-
-    @property
     def links(self) -> tuple[str, ...]:
         """Links that the robot must have."""
         carries = bool(self.payload_mass or self.disturbances.payload)

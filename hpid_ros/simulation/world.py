@@ -96,7 +96,7 @@ class Sensors:
         self._period = settings.control_period_ns * 1e-9
         self._has_differences = settings.velocity == "differences"
         self._offsets = [0.0] * len(settings.joints)
-        for index, homing in enumerate(settings.homings):
+        for index, homing in enumerate(settings.homing):
             if homing is not None:
                 chance = stream(settings.seed, "homing", settings.joints[index])
                 self._offsets[index] = homing.error(

@@ -305,7 +305,6 @@ class BridgeTiming:
     def __init__(self, joints: Sequence[str]) -> None:
         self._cycles = Durations()
         self._latencies = {joint: Durations() for joint in joints}
-        self._notes = {joint: each.note for joint, each in self._latencies.items()}
         self.published_ns = self._first_ns = 0
         self._reported = time.perf_counter_ns(), 0
 
@@ -321,9 +320,8 @@ class BridgeTiming:
         """Note that the answers of joints to the last published state have come."""
         delay_ns = time.perf_counter_ns() - self.published_ns
         for joint in joints:
-            note = self._notes.get(joint)
-            if note is not None:
-                note(delay_ns)
+            if joint in self._latencies:
+                self._latencies[joint].note(delay_ns)
 
     @property
     def elapsed(self) -> float:
