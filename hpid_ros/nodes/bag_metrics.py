@@ -134,8 +134,7 @@ class BagMetrics(executor.ClosingNode):
                 )
             names = labels or [None] * len(bags)
             measured = measure_all(
-                [Source(Path(bag), name) for bag, name in zip(bags, names, strict=True)],
-                self._how,
+                [Source(Path(bag), name) for bag, name in zip(bags, names, strict=True)], self._how
             )
             self._baseline = measured[0].run
             self._report(measured)

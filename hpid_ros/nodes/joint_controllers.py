@@ -28,8 +28,7 @@ class CompositionParameters(Record):
     """Which joints are controlled in this process, and what they have in common."""
 
     joints: tuple[str, ...] | None = quantity(
-        "Joints to control; each gets the node JOINT_controller, with its parameters",
-        default=None,
+        "Joints to control; each gets the node JOINT_controller, with its parameters", default=None
     )
     merge: bool = quantity(
         "Publish one message for all joints, as joint_command_merger, with its parameters",

@@ -22,11 +22,7 @@ import numpy as np
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.base.units import Numbers
 from hpid_ros.robot.description import JointDescription, RobotDescription, find_mesh
-from hpid_ros.simulation.physics import (
-    GROUND_FRICTION,
-    NEGLIGIBLE_INERTIA,
-    NEGLIGIBLE_MASS,
-)
+from hpid_ros.simulation.physics import GROUND_FRICTION, NEGLIGIBLE_INERTIA, NEGLIGIBLE_MASS
 from hpid_ros.simulation.settings import Brick, Support, WorldSettings
 
 GROUND = "__ground"

@@ -288,9 +288,7 @@ class Workplace(Record):
         "The robot's gripper; without a brick there is none", factory=GripperSettings
     )
     schedule: tuple[GripCommand, ...] = quantity(
-        "When it closes and opens, where the reference is no brick task",
-        key="grips",
-        default=(),
+        "When it closes and opens, where the reference is no brick task", key="grips", default=()
     )
 
     def __post_init__(self) -> None:

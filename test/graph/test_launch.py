@@ -102,10 +102,7 @@ def test_a_launch_whose_processes_fail_ends_with_their_reason(
 
 @pytest.mark.parametrize(
     ("file", "given"),
-    [
-        ("comparison.launch.py", "experiment:={}"),
-        ("ros2_control.launch.py", "params_file:={}"),
-    ],
+    [("comparison.launch.py", "experiment:={}"), ("ros2_control.launch.py", "params_file:={}")],
 )
 def test_a_launch_whose_processes_refuse_what_they_are_given_ends_with_that(
     launch, tmp_path, file, given

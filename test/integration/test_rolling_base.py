@@ -22,13 +22,7 @@ from hpid_ros.messages.messages import read_planar, read_vectors
 from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.task import PoseErrors, base_figures, relative
 from hpid_ros.robot.differential_drive import DifferentialDrive, PlanarPose, integrated
-from hpid_ros.simulation.reports import (
-    BaseMonitor,
-    Reports,
-    ReportTimes,
-    SlipMeter,
-    planar,
-)
+from hpid_ros.simulation.reports import BaseMonitor, Reports, ReportTimes, SlipMeter, planar
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 

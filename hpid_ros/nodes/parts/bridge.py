@@ -221,10 +221,7 @@ class RobotBridge(executor.ClosingNode):
         self._answer_timeout = found.control.answer_timeout
         everyone = len(settings.joints) if pace.is_lockstep else 0
         self._waiting = read(
-            self,
-            WaitingParameters,
-            wait_for_subscribers=everyone,
-            wait_for_publishers=everyone,
+            self, WaitingParameters, wait_for_subscribers=everyone, wait_for_publishers=everyone
         )
         self._status = StatusPipe(self)
         self._world = World(settings)

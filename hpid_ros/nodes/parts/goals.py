@@ -18,21 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hpid_ros.base.errors import HpidError, SettingError, TrajectoryError, unknown_name
-from hpid_ros.base.records import (
-    ParameterSpec,
-    Record,
-    from_parameters,
-    parameters_of,
-    quantity,
-)
+from hpid_ros.base.records import ParameterSpec, Record, from_parameters, parameters_of, quantity
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.settings import StateClock, Value
-from hpid_ros.messages.joint_trajectory import (
-    MOST_MIXED_POINTS,
-    MOST_POINTS,
-    decode_trajectory,
-)
+from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS, decode_trajectory
 from hpid_ros.motion.joint_trajectory import (
     Column,
     Integers,

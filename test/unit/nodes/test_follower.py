@@ -182,10 +182,7 @@ def test_a_tolerance_of_the_goal_replaces_the_default_and_minus_one_removes_it()
         ({}, ResultCode.PATH_TOLERANCE_VIOLATED),
         ({"path_tolerance": (within(-1.0),)}, None),
         (
-            {
-                "path_tolerance": (within(2.0),),
-                "goal_time_tolerance": 0.2,
-            },
+            {"path_tolerance": (within(2.0),), "goal_time_tolerance": 0.2},
             ResultCode.GOAL_TOLERANCE_VIOLATED,
         ),
     ):
@@ -283,16 +280,8 @@ def test_a_goal_beyond_a_limit_is_refused_and_the_one_before_it_goes_on():
     group.begin(moving())
     group.run(0.3)
     for joint, places, line in (
-        (
-            "shoulder",
-            [0.2, 1.1, 0.3],
-            "point 1 leads shoulder to 1.1 rad, its limits",
-        ),
-        (
-            "elbow",
-            [0.2, 0.1, -0.7],
-            "point 2 leads elbow to -0.7 m, its limits are -0.6 and inf",
-        ),
+        ("shoulder", [0.2, 1.1, 0.3], "point 1 leads shoulder to 1.1 rad, its limits"),
+        ("elbow", [0.2, 0.1, -0.7], "point 2 leads elbow to -0.7 m, its limits are -0.6 and inf"),
     ):
         there = {**THERE, joint: places}
         with pytest.raises(GoalError, match=f"^{line}") as refused:

@@ -87,10 +87,7 @@ def test_a_goal_gives_way_to_another_trajectory_and_stops_only_the_joints_that_i
     group.loops[1].follow(Setpoint(0.7))
     group.note(group.follower.yield_joints(["elbow", "of another robot"]))
     (result,) = group.results
-    assert result == (
-        ResultCode.INVALID_GOAL,
-        "another node has sent a trajectory for elbow",
-    )
+    assert result == (ResultCode.INVALID_GOAL, "another node has sent a trajectory for elbow")
     assert group.told[-1].names == ("shoulder",)
     group.run(1.5)
     assert [loop.reference for loop in group.loops][1] == (0.7, 0.0)

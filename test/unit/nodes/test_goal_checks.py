@@ -11,11 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
-from trajectory_msgs.msg import (
-    JointTrajectory,
-    JointTrajectoryPoint,
-    MultiDOFJointTrajectory,
-)
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
@@ -217,11 +213,7 @@ def test_a_goal_whose_first_point_is_now_gets_none_before_it():
         ((), {}, "each joint once"),
         (("a", "a"), {}, "each joint once"),
         (("a",), {"constraints.goal_time": -1.0}, "goal_time must be at least"),
-        (
-            ("a",),
-            {"constraints.a.trajectory": float("nan")},
-            "a.trajectory must be at least",
-        ),
+        (("a",), {"constraints.a.trajectory": float("nan")}, "a.trajectory must be at least"),
         (("a",), {"state_clock": "sundial"}, "one of wall, simulated"),
         (("a",), {"allow_partial_joints_goal": 1}, "must be true or false"),
     ],

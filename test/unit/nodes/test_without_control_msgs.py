@@ -12,11 +12,7 @@ WITHOUT = "import sys; sys.modules['control_msgs'] = None; "
 @pytest.mark.parametrize(
     ("node", "parameters", "said"),
     [
-        (
-            "follow_joint_trajectory",
-            [],
-            r"control_msgs is not installed.* ros-jazzy-control-msgs",
-        ),
+        ("follow_joint_trajectory", [], r"control_msgs is not installed.* ros-jazzy-control-msgs"),
         (
             "joint_command_merger",
             ["-p", "command_interface:=dynamic_joint_state"],
@@ -30,10 +26,7 @@ def test_a_node_names_what_is_missing_in_one_line(node, parameters, said):
         f"{WITHOUT}from hpid_ros.nodes import {node} as node; sys.exit(node.main({arguments}))"
     )
     ended = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
     assert ended.returncode == 2
     (line,) = ended.stderr.strip().splitlines()

@@ -13,13 +13,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.simulation.drives import Motor, Pwm
-from hpid_ros.simulation.settings import (
-    Encoder,
-    GripCommand,
-    GripperSettings,
-    HallSwitch,
-    Homing,
-)
+from hpid_ros.simulation.settings import Encoder, GripCommand, GripperSettings, HallSwitch, Homing
 
 MOTOR = Motor(torque_constant=0.03, resistance=0.8, supply_voltage=24.0)
 PWMS = st.builds(Pwm, st.integers(1, 16), st.floats(0.0, 0.9))
