@@ -18,7 +18,6 @@ from mcap.reader import make_reader
 from hpid_ros.base.errors import BagError
 from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.run import read_run
 from hpid_ros.messages.writer import BagWriter, repair_bag
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -107,23 +106,11 @@ def test_a_cut_or_bit_flipped_bag_loses_the_damaged_part_and_invents_nothing(
     assert bool(line) != (tmp_path / "repaired").exists()
 
 
-def test_only_the_cut_chunk_is_lost(whole, tmp_path):
-    path, messages = whole
-    raw = mcap_of(path).read_bytes()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(raw[: int(0.6 * len(raw))])
-    repair = repair_bag(cut, tmp_path / "repaired")
-    saved = read_raw(repair.target)
-    assert saved == messages[: len(saved)]
-    assert len(saved) > 0.5 * len(messages)
-    assert repair.span_ns == (0, saved[-1][1])
-
-
 def test_the_command_says_what_was_saved_and_lost_and_keeps_the_old_bag(whole, tmp_path, capsys):
-    path, _ = whole
+    path, messages = whole
     bag = tmp_path / "bag"
     shutil.copytree(path, bag)
-    mcap_of(bag).write_bytes(mcap_of(bag).read_bytes()[:-5000])
+    mcap_of(bag).write_bytes(mcap_of(bag).read_bytes()[: mcap_of(bag).stat().st_size * 3 // 5])
     (bag / "metadata.yaml").unlink()
     before = mcap_of(bag).read_bytes()
     assert main(["repair", str(bag)]) == 0
@@ -132,8 +119,9 @@ def test_the_command_says_what_was_saved_and_lost_and_keeps_the_old_bag(whole, t
     assert "lost: metadata.yaml is missing" in told
     assert f"written: {tmp_path / 'bag_repaired'}" in told
     assert mcap_of(bag).read_bytes() == before
-    run = read_run(tmp_path / "bag_repaired", "run")
-    assert run.joints[0].joint == "elbow"
+    saved = read_raw(tmp_path / "bag_repaired")
+    assert saved == messages[: len(saved)]
+    assert len(saved) > 0.5 * len(messages)
     assert main(["repair", str(bag)]) == 2
     assert "exists already, nothing is overwritten" in capsys.readouterr().err
 

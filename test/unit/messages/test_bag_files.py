@@ -31,7 +31,6 @@ pytestmark = pytest.mark.slow
 FIELDS = ("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort")
 COUNT = 400
 PLAIN = {"compression": CompressionType.NONE}
-WITHOUT_MESSAGE_INDEX = {"index_types": IndexType.CHUNK}  # noMessageIndex of rosbag2
 SWITCHES = (
     *("use_statistics", "use_summary_offsets", "repeat_channels", "repeat_schemas"),
     "enable_crcs",
@@ -96,10 +95,7 @@ def whole(tmp_path_factory) -> RunSeries:
     return read_run(write_bag(tmp_path_factory.mktemp("whole") / "bag", long_log()), "run")
 
 
-INDEXES = (IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE, IndexType.ALL)
-
-
-@pytest.mark.parametrize("index", INDEXES, ids=str)
+@pytest.mark.parametrize("index", [IndexType.NONE, IndexType.ALL], ids=str)
 @pytest.mark.parametrize(
     ("use_chunking", "compression"),
     [(False, CompressionType.NONE), *((True, each) for each in CompressionType)],
@@ -168,7 +164,7 @@ def split(folder: Path, log, *options: dict) -> Path:
 
 @pytest.mark.parametrize("has_metadata", [True, False])
 def test_a_bag_in_several_files_is_one_run(tmp_path, whole, has_metadata):
-    path = split(tmp_path / "bag", long_log(), *[{}, WITHOUT_MESSAGE_INDEX] * 6)
+    path = split(tmp_path / "bag", long_log(), *[{}] * 12)
     if not has_metadata:
         (path / "metadata.yaml").unlink()
     run = read_run(path, "run")
@@ -214,13 +210,6 @@ def test_messages_that_are_counted_and_not_there_are_reported(tmp_path, capsys):
     )
 
 
-def test_a_recorder_that_was_killed_leaves_all_chunks_that_it_wrote(tmp_path, whole):
-    run = read_run(write_mcap(tmp_path / "bag.mcap", long_log(), end=False), "run")
-    part_of(run, whole)
-    assert len(run.joints[0].position) > 0.9 * COUNT
-    assert any("the end is missing" in line for line in run.quality.unreadable)
-
-
 @pytest.mark.parametrize("compression", CompressionType)
 @pytest.mark.parametrize("kept", [0.2, 0.77, 0.9])
 def test_a_file_that_is_cut_off_gives_everything_before_the_cut(
@@ -260,15 +249,6 @@ def test_nothing_of_a_damaged_chunk_is_taken_without_its_checksum(tmp_path, whol
     part_of(run, whole)
     assert 0.8 * COUNT < len(run.joints[0].position) < COUNT
     assert any("left out" in line for line in run.quality.unreadable)
-
-
-def test_an_index_that_names_a_message_twice_is_not_believed(tmp_path, whole):
-    path = write_mcap(tmp_path / "bag.mcap", long_log(), **PLAIN)
-    raw = path.read_bytes()
-    at, other = (raw.rindex(struct.pack("<Q", 10**18 + k * MS)) for k in (201, 202))
-    assert other == at + 16, "entries of the index of one chunk"
-    damage(path, at, raw[other : other + 16])
-    same(read_run(path, "run"), whole)
 
 
 @pytest.mark.parametrize("use_chunking", [True, False])

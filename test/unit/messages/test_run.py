@@ -41,6 +41,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import BagError, SettingError
+from hpid_ros.cli.main import main
 from hpid_ros.messages import columns
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
@@ -153,15 +154,6 @@ def test_layouts_may_change_and_mix(tmp_path):
     assert series.command_stamps_ns.tolist() == [8, 9]
     assert series.effort.tolist() == [0.5, 0.9]
     assert losses == Losses(5, 0)
-
-
-def test_more_layouts_than_are_worth_a_pass_are_all_read(tmp_path):
-    log = []
-    for k in range(150):
-        template = JointStateTemplate(["a"], f"frame_{k:03}", position=True)
-        log.append(("joint_states", k, template.encode(k, position=[float(k)])))
-    series, _ = read_one(tmp_path / "bag", [*log, command(0, a=0.0)])
-    assert series.position.tolist() == [float(k) for k in range(150)]
 
 
 def test_a_thousand_joints_with_messages_of_their_own_are_read_in_one_go(tmp_path, monkeypatch):
@@ -482,7 +474,7 @@ def test_messages_that_are_not_of_their_type_are_left_out_and_reported(tmp_path)
     assert line.startswith("1 messages on /joint_states are left out: a JointState of 8 bytes")
 
 
-def test_states_and_commands_without_common_time_give_one_warning_and_no_energy(tmp_path):
+def test_states_and_commands_without_common_time_give_one_warning_and_no_energy(tmp_path, capsys):
     log = []
     for k in range(100):
         log += [state(k * MS, a=0.01 * k, b=0.0)]
@@ -497,6 +489,17 @@ def test_states_and_commands_without_common_time_give_one_warning_and_no_energy(
     assert all(math.isnan(numbers.value(energy, joint)) for joint in (None, "a", "b"))
     assert numbers.joints["a"]["ivc"] == 99.0
     assert run_indices(read(bag, clock="receive")).value(energy) > 0.0
+    assert main(["metrics", str(bag), "--reference", "hold"]) == 0
+    assert capsys.readouterr().err.count("clocks that do not overlap") == 1
+
+
+def test_recordings_of_unlike_length_are_compared_in_what_they_share(tmp_path, capsys):
+    bags = []
+    for name, count in (("long", 2000), ("short", 1000)):
+        log = [log(k * MS, a=0.01 * k) for k in range(count) for log in (state, command)]
+        bags.append(str(write_bag(tmp_path / name, log)))
+    assert main(["metrics", *bags, "--reference", "hold"]) == 0
+    assert "long: cut to 0.999 s of 1.999 s" in capsys.readouterr().out
 
 
 def test_one_joint_without_energy_leaves_no_sum():
