@@ -248,17 +248,6 @@ def test_a_file_that_is_for_another_node_is_one_line_and_exit_code_two(
     assert "Traceback" not in ended.stderr
 
 
-def test_a_controller_says_once_what_it_holds(harness, tmp_path):
-    harness.start_controller(law="hpid", mu=-0.1, gains__p=10, u_clamp_max=5, u_clamp_min=-5)
-    harness.ask(0, 0.25)
-    log = tmp_path / "elbow_controller.log"
-    harness.wait(lambda: "active" in log.read_text(), what="the line")
-    harness.ask(MS, 0.25)
-    (line,) = [line for line in log.read_text().splitlines() if "active" in line]
-    assert "active: joint elbow, hpid with mu = -0.1, within [-5, 5] N m; holding its" in line
-    assert line.endswith("position: 0.25 rad")
-
-
 class Robot:
     """One of two robots: a bridge, its controllers and its reference in a namespace."""
 

@@ -2,7 +2,6 @@
 
 import pytest
 from harness.engines import ENGINE
-from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from harness.places import URDF
 from sensor_msgs.msg import JointState
@@ -124,42 +123,3 @@ def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
     ):
         receive(message)
     assert taken == [first, second, second, second]
-
-
-@pytest.mark.parametrize(
-    ("executable", "arguments", "line"),
-    [
-        ("joint_controller", ["--params-file", "none.yaml"], "none.yaml"),
-        ("joint_controller", ["--bogus"], "--bogus"),
-        ("joint_controller", ["-p", "joint"], "parameter override"),
-        ("joint_controller", ["-p", "joint:=a", "-p", "introspection_rate:=.nan"], "not nan"),
-        ("joint_controllers", ["-p", "joints:=[a b]"], "'a b_controller'"),
-        ("joint_controllers", ["-p", "joints:=[a]", "-p", "gain.p:=1.0"], "'gains.p'"),
-        ("mujoco_bridge", ["-p", "duration:=.nan"], "duration must lie in"),
-        ("mujoco_bridge", ["-p", "wrench_duration:=.nan"], "wrench_duration must lie in"),
-        ("bag_recorder", ["-p", "bag:=new", "-p", "topics:=[a b]"], "'a b'"),
-        ("bag_recorder", ["-p", "bag:=new", "-p", "topics:=[a, a]"], "each topic once"),
-    ],
-)
-def test_a_bad_command_line_is_one_line_and_exit_code_two(
-    harness, tmp_path, executable, arguments, line
-):
-    ended = run_node(executable, arguments, cwd=tmp_path)
-    assert ended.returncode == 2
-    assert line in ended.stderr
-    assert "Traceback" not in ended.stderr
-    assert not (tmp_path / "new").exists()
-
-
-def test_a_parameter_of_the_command_line_reaches_every_composed_controller(harness):
-    harness.processes.start(
-        "joint_controllers",
-        "joint_controllers",
-        [
-            *ros_arguments(law="pid", gains__p=10.0, state_watchdog=False),
-            *("-p", "joints:=[elbow, wrist]"),
-        ],
-    )
-    harness.wait(lambda: harness.states.get_subscription_count() == 2, what="both controllers")
-    harness.ask(0, 0.5)
-    assert harness.ask(MS, 0.25) == 2.5

@@ -11,9 +11,11 @@ from hpid_ros.nodes.core import rclpy_internals
 
 
 @pytest.fixture
-def node(harness):
+def node(module_harness):
     node = LifecycleNode(
-        "watched", context=harness.context, parameter_overrides=[Parameter("given", value=1)]
+        "watched",
+        context=module_harness.context,
+        parameter_overrides=[Parameter("given", value=1)],
     )
     yield node
     node.destroy_node()

@@ -23,11 +23,11 @@ def start(harness, *more):
     return harness.processes.start(name, name, arguments, is_renamed=False)
 
 
-def tell(harness, stamp_ns, position):
+def tell(harness, stamp_ns, position, publisher=None):
     """Publish one state of both joints."""
     template = JointStateTemplate(JOINTS, position=True, velocity=True)
     raw = template.encode(stamp_ns, position=[position] * 2, velocity=[0.0] * 2)
-    harness.states.publish(raw)
+    (publisher or harness.states).publish(raw)
 
 
 def answers(harness, stamp_ns):
@@ -88,25 +88,26 @@ def test_no_state_is_read_before_every_joint_is_ready(harness):
     harness.wait(lambda: len(answers(harness, 0)) == 2, what="both joints")
 
 
-def test_a_controller_with_another_topic_listens_to_that(harness):
-    start(harness, "-r", "elbow_controller:joint_states:=others")
-    others = harness.node.create_publisher(JointState, "others", qos_profile_sensor_data)
+def test_what_has_a_topic_of_its_own_is_not_shared(harness):
+    """The elbow's states, the wrist's commands; the other topic of each is the shared one."""
+    remaps = ("elbow_controller:joint_states:=states", "wrist_controller:joint_commands:=efforts")
+    start(harness, *(part for remap in remaps for part in ("-r", remap)))
+    others = harness.node.create_publisher(JointState, "states", qos_profile_sensor_data)
+    taken = []
+    harness.node.create_subscription(JointState, "efforts", taken.append, qos_profile_sensor_data)
     harness.wait(lambda: listeners(harness) == 1, what="the wrist to listen")
     harness.wait(lambda: others.get_subscription_count() == 1, what="the elbow to listen")
     tell(harness, 0, 0.5)
-    harness.wait(lambda: answers(harness, 0), what="the wrist")
-    assert set(answers(harness, 0)) == {"wrist"}
-
-
-def test_a_controller_with_another_topic_of_commands_publishes_there(harness):
-    start(harness, "-r", "elbow_controller:joint_commands:=others")
-    taken = []
-    harness.node.create_subscription(JointState, "others", taken.append, qos_profile_sensor_data)
-    harness.wait(lambda: listeners(harness) == 1, what="the process to listen")
-    tell(harness, 0, 0.5)
-    harness.wait(lambda: answers(harness, 0) and taken, what="both joints")
-    assert set(answers(harness, 0)) == {"wrist"}
-    assert [list(each.name) for each in taken] == [["elbow"]]
+    harness.wait(lambda: taken, what="the wrist")
+    assert [list(each.name) for each in taken] == [["wrist"]]
+    assert not answers(harness, 0)
+    tell(harness, MS, 0.5, others)
+    harness.wait(lambda: answers(harness, MS), what="the elbow")
+    assert set(answers(harness, MS)) == {"elbow"}
+    tell(harness, 2 * MS, 0.5)
+    harness.wait(lambda: len(taken) > 1, what="the wrist again")
+    assert {tuple(each.name) for each in taken} == {("wrist",)}
+    assert not answers(harness, 2 * MS)
 
 
 def test_efforts_that_answer_no_state_go_out_at_once_and_end_in_zeros(harness):
