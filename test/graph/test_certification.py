@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness.graph import ros_arguments
 from harness.health import Told
 
 from hpid_ros.control import LoopSettings
@@ -115,14 +114,3 @@ def test_what_is_required_is_refused_until_it_is_certified(harness):
         what="the certificate of the new gains",
     )
     assert harness.set_parameters("elbow_controller", mu=0.15) == (True, "")
-
-
-def test_a_start_without_a_required_certificate_is_refused(harness):
-    node = harness.processes.start(
-        "elbow_controller",
-        "joint_controller",
-        ros_arguments(joint="elbow", mu=0.4, require_certificate=True, **NEAR_THE_LIMIT),
-    )
-    harness.wait(lambda: node.process.poll() is not None, what="the refusal")
-    assert node.process.returncode == 2
-    assert "mu = 0.4 is not certified stable" in node.last_words()

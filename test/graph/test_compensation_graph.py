@@ -150,9 +150,7 @@ def test_a_node_with_a_model_answers_whole_states_and_survives_those_that_are_no
     assert values()["model terms held"] == "3"
     assert "no efforts" in values()["last fault of the model"]
 
-
-def test_compensation_is_fixed_and_gains_are_not(harness):
-    harness.start_controller(joint=ELBOW, **PARAMETERS)
+    # Compensation is fixed, and gains are not.
     accepted, reason = harness.set_parameters("elbow_controller", compensation="none")
     assert not accepted
     assert "read-only" in reason

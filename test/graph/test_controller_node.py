@@ -201,6 +201,8 @@ def test_parameters_are_described_and_a_slider_moves_from_end_to_end_without_a_r
             assert abs(harness.ask(next(stamps), 0.1)) < 1e3
 
 
+UNCERTIFIED = {"gains.p": 5.0, "gains.i": 9.0, "gains.d": 2.0, "norm.rate_weight": 3.0}
+UNCERTIFIED |= {"joint": "a", "inertia": 1.0, "mu": 0.4, "require_certificate": True}
 MODELLED = {
     "joint": "arm_joint_3",
     "compensation": "decoupling",
@@ -230,6 +232,7 @@ MODELLED = {
         ("joint_controller", {**MODELLED, "model.left_wheel": "wheel_left_joint"}, "right_wheel"),
         ("joint_controller", {**MODELLED, **HOOK}, "hook"),
         ("joint_controller", {**MODELLED, "joint": "arm_joint_9"}, "did you mean 'arm_joint_"),
+        ("joint_controller", UNCERTIFIED, "mu = 0.4 is not certified stable"),
         ("joint_controllers", {}, "each joint once"),
         ("mujoco_bridge", {"mode": "fast"}, "lockstep, realtime"),
         ("mujoco_bridge", {"joints": "[arm_joint_9]"}, "did you mean 'arm_joint_"),

@@ -339,93 +339,104 @@ def test_a_second_source_of_a_joint_is_not_obeyed_and_both_are_named(merging):
     assert {numbers[2] for _, numbers in received} == {3.0}
 
 
-def test_whoever_subscribes_gets_the_order_that_was_given(harness, told):
-    start_merger(harness, controller=None, joints=str(ORDER), command_interface="joint_state")
-    harness.wait(
-        lambda: says(told, "waiting for somebody to subscribe to /joint_command"),
-        WITHIN,
-        "what it waits for",
-    )
+def dynamic(message):
+    """Return names and efforts of a message with interfaces, all of which must be efforts."""
+    assert all(list(each.interface_names) == ["effort"] for each in message.interface_values)
+    return list(message.joint_names), [each.values[0] for each in message.interface_values]
+
+
+@pytest.mark.parametrize(
+    ("interface", "topic", "read"),
+    [
+        ("joint_state", "joint_command", lambda each: (list(each.name), list(each.effort))),
+        pytest.param(
+            "dynamic_joint_state", "dynamic_joint_commands", dynamic, marks=needs_control_msgs
+        ),
+    ],
+)
+def test_whoever_subscribes_gets_the_order_that_was_given(harness, told, interface, topic, read):
+    start_merger(harness, controller=None, joints=str(ORDER), command_interface=interface)
+    waits = f"waiting for somebody to subscribe to /{topic}"
+    harness.wait(lambda: says(told, waits), WITHIN, "what it waits for")
+    kind = JointState
+    if interface == "dynamic_joint_state":
+        from control_msgs.msg import DynamicJointState as kind
     command = Commander(harness)
-    with listening(harness, JointState, "joint_command") as heard:
+    with listening(harness, kind, topic) as heard:
         command.until(EFFORTS, lambda: heard, "the first command")
-    (first, *_) = heard
-    stamp = first.header.stamp.sec * 10**9 + first.header.stamp.nanosec
-    assert 0 < stamp <= command.stamp
-    assert first.header.frame_id == f"/{MERGER}"
-    assert (list(first.name), list(first.effort)) == (ORDER, [1.0, 2.0, 3.0])
-    command.until(EFFORTS, lambda: says(told, "waiting for somebody"), "nobody to be missed")
-
-
-@needs_control_msgs
-def test_dynamic_joint_states_name_joints_and_their_interface(harness):
-    from control_msgs.msg import DynamicJointState
-
-    start_merger(harness, controller=None, joints=ORDER, command_interface="dynamic_joint_state")
-    command = Commander(harness)
-    with listening(harness, DynamicJointState, "dynamic_joint_commands") as heard:
-        command.until(EFFORTS, lambda: heard, "the first command")
-    (first, *_) = heard
-    assert 0 < first.header.stamp.sec * 10**9 + first.header.stamp.nanosec <= command.stamp
-    assert list(first.joint_names) == ORDER
-    found = [(list(each.interface_names), list(each.values)) for each in first.interface_values]
-    assert found == [(["effort"], [EFFORTS[joint]]) for joint in ORDER]
+    header = heard[0].header
+    assert 0 < header.stamp.sec * 10**9 + header.stamp.nanosec <= command.stamp
+    assert interface != "joint_state" or header.frame_id == f"/{MERGER}"
+    assert read(heard[0]) == (ORDER, [1.0, 2.0, 3.0])
+    command.until(EFFORTS, lambda: says(told, waits), "nobody to be missed")
 
 
 # --- the end ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", ["SIGTERM", "deactivate", "shutdown"])
-def test_it_leaves_with_zeros_again_and_again(harness, control, ending):
-    """Nobody acknowledges them, and the receiver keeps the last effort for ever."""
-    control.load(ORDER)
-    process = start_merger(harness).process
-    command = Commander(harness)
-    with listening(harness, Float64MultiArray, f"{NAME}/commands") as heard:
-        command.until(EFFORTS, lambda: heard and control.controller.received, "the first command")
-        leave(harness, process, command, ending)
+class Leaving:
+    """What a receiver is sent until its joints are left, with one that keeps the last effort."""
+
+    def __init__(self, control, command, heard):
+        self._control, self._command, self._heard = control, command, heard
+
+    def drive(self):
+        """Answer states until all have their efforts, also in what is heard."""
+        self._command.until(
+            EFFORTS,
+            lambda: (
+                self._control.efforts() == EFFORTS
+                and self._heard
+                and tuple(self._heard[-1].data) == tuple(EFFORTS.values())
+            ),
+            "the efforts",
+        )
+
+    def end(self):
+        """Wait for zeros again and again: nobody acknowledges them."""
 
         def zeros():
-            last = [any(message.data) for message in heard[::-1]]
+            last = [any(message.data) for message in self._heard[::-1]]
             return last.index(True)  # at the end, in a row
 
-        command.until(EFFORTS, lambda: zeros() >= 5, "zeros")
-    command.until(EFFORTS, lambda: set(control.efforts().values()) == {0.0}, "their effect")
-    if ending == "deactivate":
-        assert change(harness, "activate", MERGER)
-        command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
+        self._command.until(EFFORTS, lambda: zeros() >= 5, "zeros")
+        self.has_effect()
+
+    def has_effect(self):
+        self._command.until(
+            EFFORTS, lambda: set(self._control.efforts().values()) == {0.0}, "zero efforts"
+        )
 
 
-def leave(harness, process, command, ending):
-    if ending.startswith("SIG"):
-        process.send_signal(signal.Signals[ending])
-        command.until(EFFORTS, lambda: process.poll() is not None, "the end")
-        assert process.returncode == 0
-    else:
-        assert change(harness, ending, MERGER)
-        expected = {"deactivate": "inactive", "shutdown": "finalized"}[ending]
-        assert state(harness, MERGER) == expected
-
-
-def test_a_process_that_is_stopped_leaves_with_zeros_and_comes_back_from_there(harness, control):
+@pytest.fixture
+def leaving(harness, control):
     control.load(ORDER)
+    with listening(harness, Float64MultiArray, f"{NAME}/commands") as heard:
+        yield Leaving(control, Commander(harness), heard)
+
+
+def test_a_process_that_is_stopped_or_ends_leaves_with_zeros_again_and_again(harness, leaving):
     process = start_merger(harness, fade_in_time=0.0).process
-    command = Commander(harness)
-    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    leaving.drive()
     process.send_signal(signal.SIGTSTP)
-    command.until(EFFORTS, lambda: set(control.efforts().values()) == {0.0}, "zeros")
-    command.until(EFFORTS, lambda: is_stopped(process), "it to stop")  # or SIGCONT is lost
+    leaving.has_effect()
+    harness.wait(lambda: is_stopped(process), WITHIN, "it to stop")  # or SIGCONT is lost
     process.send_signal(signal.SIGCONT)
-    command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
+    leaving.drive()
+    process.send_signal(signal.SIGTERM)
+    harness.wait(lambda: process.poll() is not None, WITHIN, "the end")
+    assert process.returncode == 0
+    leaving.end()
 
 
-def test_a_merger_that_is_not_active_does_not_listen(harness, control):
-    control.load(ORDER)
+def test_a_merger_that_is_deactivated_or_shut_down_leaves_with_zeros(harness, leaving):
     start_merger(harness, autostart=False)
     harness.wait(lambda: harness.is_there(MERGER), WITHIN, "the node")
     assert state(harness, MERGER) == "unconfigured"
-    command = Commander(harness)
-    command(EFFORTS)
-    for label in ("configure", "activate"):
+    assert change(harness, "configure", MERGER)
+    for label, becomes in (("deactivate", "inactive"), ("shutdown", "finalized")):
+        assert change(harness, "activate", MERGER)
+        leaving.drive()
         assert change(harness, label, MERGER)
-    command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
+        assert state(harness, MERGER) == becomes
+        leaving.end()
