@@ -5,17 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
 
 from hpid_ros.base.console import TextConsole
-from hpid_ros.report.table import UNLIMITED_WIDTH, TableColumn, WideTable
+from hpid_ros.report.table import UNLIMITED_WIDTH, WideTable
 
 if TYPE_CHECKING:
     from hpid_ros.experiment.description import Experiment
     from hpid_ros.experiment.in_process import RunReport
+
+
+_LOOK: dict[str, Any] = {"header_style": "dim", "padding": 2}
 
 
 def output_console() -> TextConsole:
@@ -91,17 +94,16 @@ def print_timing(console: Console, report: RunReport, duration: float) -> None:
     print_runs(console, [report], duration)
     if report.timing is None:
         return
-    headings = ["period", "p99", "compute", "p99", "latency", "p99", "missed", "silent"]
+    headings = ("period", "p99", "compute", "p99", "latency", "p99", "missed", "silent")
     cycle = report.timing["cycle"]
-    rows = [("(bridge)", [*_microseconds(cycle["median"], cycle["p99"]), *[""] * 6])]
+    rows = [["(bridge)", *_microseconds(cycle["median"], cycle["p99"]), *[""] * 6]]
     for joint, each in report.timing["joints"].items():
         spreads = (each[name] for name in ("period", "compute", "latency"))
         figures = [spread[name] for spread in spreads for name in ("median", "p99")]
-        rows.append(
-            (joint, [*_microseconds(*figures), str(each["missed"]), str(each["unanswered"])])
-        )
+        counts = (str(each["missed"]), str(each["unanswered"]))
+        rows.append([joint, *_microseconds(*figures), *counts])
     console.print()
-    console.print(_table("joint, in us", headings, rows))
+    console.print(WideTable.of_rows(("joint, in us", *headings), rows, **_LOOK))
 
 
 def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
@@ -113,38 +115,21 @@ def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
 
 def print_runs(console: Console, reports: Sequence[RunReport], duration: float) -> None:
     """Print how runs went."""
-    headings = ["states", "processes", "wall time", "rate", "real time"]
+    headings = ("run", "states", "processes", "wall time", "rate", "real time")
     rows = [
         (
-            report.label,
-            [
-                str(report.states),
-                str(report.processes),
-                f"{report.wall_time:.2f} s",
-                f"{report.rate:.0f} Hz",
-                f"{duration / report.wall_time:.2f} x",
-            ],
+            *(report.label, str(report.states), str(report.processes)),
+            f"{report.wall_time:.2f} s",
+            f"{report.rate:.0f} Hz",
+            f"{duration / report.wall_time:.2f} x",
         )
         for report in reports
     ]
     console.print()
-    console.print(_table("run", headings, rows))
+    console.print(WideTable.of_rows(headings, rows, **_LOOK))
     for report in reports:
         for warning in report.warnings:
             console.print(f"{report.label}: {warning}", style="yellow", highlight=False)
-
-
-def _table(
-    name: str, headings: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]
-) -> WideTable:
-    """Return a table of numbers whose rows have names."""
-    cells = zip(*(numbers for _, numbers in rows), strict=True)
-    return WideTable(
-        [TableColumn(name, [row for row, _ in rows], is_text=True)],
-        [TableColumn(heading, each) for heading, each in zip(headings, cells, strict=True)],
-        header_style="dim",
-        padding=2,
-    )
 
 
 def _microseconds(*values: float) -> list[str]:

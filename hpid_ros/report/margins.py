@@ -28,13 +28,16 @@ from hpid_ros.report.style import (
     log_ticks,
     plain_ticks,
 )
-from hpid_ros.report.table import TableColumn, WideTable, columns_of
+from hpid_ros.report.table import WideTable
 from hpid_ros.stability.frequency import Complexes, FrozenLoop
 from hpid_ros.stability.margins import Case, FamilyMargins, LoopFamily, Margins, frequency_grid
 from hpid_ros.stability.measured_margins import Distance, LoopReport, MeasuredJoint, measured_loop
 
-_FIGURES = ("GM [dB]", "PM", "DM [ms]", "DM/T", "alpha", "Ms", "Mt", "BW [Hz]")
-_PLACES = ("frozen", "certified mu", "inertia", "friction", "norm", "worst at m", "lam")
+_FIGURES = ("loop", "lam", "GM [dB]", "PM", "DM [ms]", "DM/T", "alpha", "Ms", "Mt", "BW [Hz]")
+_PLACES = (
+    *("loop", "certified", "frozen", "certified mu", "inertia", "friction", "norm"),
+    *("worst at m", "lam"),
+)
 
 
 class MarginTable:
@@ -45,50 +48,34 @@ class MarginTable:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         rows = [row for name, each in self._reports.items() for row in _rows(name, each)]
-        names, multipliers, cells = zip(*rows, strict=True)
-        yield WideTable(
-            [TableColumn("loop", names, True), TableColumn("lam", multipliers)],
-            columns_of(_FIGURES, cells),
-        )
+        yield WideTable.of_rows(_FIGURES, rows, names=2)
         yield ""
-        verdicts = [_verdict_cells(each) for each in self._reports.values()]
-        yield WideTable(
-            [
-                TableColumn("loop", list(self._reports), True),
-                TableColumn(
-                    "certified",
-                    [
-                        Text("yes", "green") if each.verdict.is_certified else Text("NO", "red")
-                        for each in self._reports.values()
-                    ],
-                ),
-            ],
-            columns_of(_PLACES, verdicts),
-        )
+        verdicts = [(name, *_verdict_cells(each)) for name, each in self._reports.items()]
+        yield WideTable.of_rows(_PLACES, verdicts, names=2)
         yield ""
         for name, each in self._reports.items():
             yield from (Text(f"{name}: {line}", style=style) for line, style in _lines(each))
         yield Text(_legend(self._reports.values()), style="dim")
 
 
-def _rows(name: str, report: LoopReport) -> list[tuple[str, str, list[str]]]:
-    """Return the rows of one loop: name, multipliers, cells."""
+def _rows(name: str, report: LoopReport) -> list[list[str]]:
+    """Return the rows of one loop."""
     family = report.family
     period = family.settings.timing.control_period
     if not family.is_homogeneous:
-        return [(name, "1", _cells(report.pid, period))]
+        return [[name, "1", *_cells(report.pid, period)]]
     least, largest = family.multipliers[0], family.multipliers[-1]
     return [
-        (name, f"{least:.3g} {largest:.3g}", _cells(report.band, period)),
-        ("  at rest", f"{family.at_rest:.3g}", _cells(report.at_rest, period)),
-        ("  as PID", "1", _cells(report.pid, period)),
+        [name, f"{least:.3g} {largest:.3g}", *_cells(report.band, period)],
+        ["  at rest", f"{family.at_rest:.3g}", *_cells(report.at_rest, period)],
+        ["  as PID", "1", *_cells(report.pid, period)],
     ]
 
 
 def _cells(found: FamilyMargins, period: float) -> list[str]:
     worst = found.worst
     if worst is None:
-        return ["UNSTABLE", *["-"] * (len(_FIGURES) - 1)]
+        return ["UNSTABLE", *["-"] * (len(_FIGURES) - 3)]
     return [
         " ".join(
             f"{20.0 * math.log10(factor) if factor else -math.inf:+.1f}"
@@ -109,6 +96,7 @@ def _verdict_cells(report: LoopReport) -> list[str | Text]:
     is_stable = report.band.is_stable
     worst = report.band.where["disk"] if is_stable else report.band.unstable[0]
     return [
+        Text("yes", "green") if report.verdict.is_certified else Text("NO", "red"),
         Text("stable", style="green") if is_stable else Text("UNSTABLE", style="red"),
         "none" if interval is None else "{:+.3f} {:+.3f}".format(*interval),
         _range(family.inertia),

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich.box import SIMPLE, Box
 from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
@@ -179,7 +179,7 @@ def columns_of(
     texts: Collection[str] = (),
 ) -> list[TableColumn]:
     """Return the columns of a table that is given by its rows; texts are headings of such."""
-    cells = zip(*rows, strict=True)
+    cells = list(zip(*rows, strict=True)) or [()] * len(headings)
     return [TableColumn(h, each, h in texts) for h, each in zip(headings, cells, strict=True)]
 
 
@@ -199,6 +199,20 @@ class WideTable:
         self._names, self._columns = tuple(names), tuple(columns)
         self._title, self._box, self._header_style = title, box, header_style
         self._padding = padding
+
+    @classmethod
+    def of_rows(
+        cls,
+        headings: Sequence[str],
+        rows: Iterable[Iterable[str | Text]],
+        *,
+        names: int = 1,
+        texts: int = 1,
+        **look: Any,
+    ) -> WideTable:
+        """Return the table of some rows, whose first cells are their names, and texts."""
+        columns = columns_of(headings, rows, headings[:texts])
+        return cls(columns[:names], columns[names:], **look)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         if self._title:

@@ -84,11 +84,10 @@ def study_grid():
 
 
 def timing_table():
-    from hpid_ros.cli.terminal import _table
-
-    headings = ["period", "p99", "compute", "p99", "latency", "p99", "missed", "silent"]
-    row = ["1000.4", "1523.1", "55.5", "1234", "77.7", "2345", "12", "34567"]
-    return _table("joint, in us", headings, [("(bridge)", [*row[:2], *[""] * 6]), ("arm_1", row)])
+    headings = ("joint", "period", "p99", "compute", "p99", "latency", "p99", "missed", "silent")
+    row = ("1000.4", "1523.1", "55.5", "1234", "77.7", "2345", "12", "34567")
+    rows = [("(bridge)", *row[:2], *[""] * 6), ("arm_1", *row)]
+    return WideTable.of_rows(headings, rows, padding=2)
 
 
 TABLES = (

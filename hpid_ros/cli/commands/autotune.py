@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import refuse_output, write_file
+from hpid_ros.base.files import refuse_output
 from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.commands.excite import agreed, new_bag
+from hpid_ros.cli.options import write_output
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control.overrides import RAMP
 from hpid_ros.motion.excitation import JointBounds, PlannedRelay, RelayWish, planned_relay
@@ -189,7 +190,4 @@ def _write(
     ]
     slides = {joint} if controller.limits.is_slide else frozenset()
     notes = {joint: _findings(found)}
-    try:
-        write_file(path, upgrade_text([tuned.upgrade], header, notes, slides))
-    except OSError as error:
-        raise SettingError(f"cannot write {path}: {error.strerror}") from None
+    write_output(path, upgrade_text([tuned.upgrade], header, notes, slides))

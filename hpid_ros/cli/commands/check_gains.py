@@ -28,7 +28,7 @@ from hpid_ros.cli.terminal import output_console
 from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.report.table import TableColumn, WideTable
+from hpid_ros.report.table import WideTable
 from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
     LARGEST_SAMPLING_MARGIN_LATE,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from hpid_ros.robot.coupling import Settling
 
 
-_HEADINGS = ("mu", "certified mu", "rho", "T kd", "lam", "settles", "inertia")
+_HEADINGS = ("loop", "ok", "mu", "certified mu", "rho", "T kd", "lam", "settles", "inertia")
 
 
 class GainTable:
@@ -54,19 +54,8 @@ class GainTable:
         self._verdicts, self._slides = verdicts, slides
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        rows = [_cells(verdict) for verdict in self._verdicts.values()]
-        yield WideTable(
-            [
-                TableColumn("loop", list(self._verdicts), is_text=True),
-                TableColumn(
-                    "ok", [_verdict(verdict) for verdict in self._verdicts.values()], True
-                ),
-            ],
-            [
-                TableColumn(heading, cells)
-                for heading, cells in zip(_HEADINGS, zip(*rows, strict=True), strict=True)
-            ],
-        )
+        rows = [(name, *_cells(verdict)) for name, verdict in self._verdicts.items()]
+        yield WideTable.of_rows(_HEADINGS, rows, names=2, texts=2)
         yield ""
         for name, verdict in self._verdicts.items():
             if verdict.reason:
@@ -99,13 +88,14 @@ class GainTable:
         return unit if "," not in unit else f"kg m^2; kg: {', '.join(slides)}"
 
 
-def _cells(verdict: GainVerdict) -> list[str]:
+def _cells(verdict: GainVerdict) -> list[str | Text]:
     low, high = verdict.inertia
     interval = "none"
     if verdict.interval is not None:
         interval = f"{verdict.interval[0]:+.3f} {verdict.interval[1]:+.3f}"
     least, largest = verdict.multipliers
     return [
+        Text("yes", style="green") if verdict.is_certified else Text("NO", style="red"),
         f"{verdict.degree:+.3f}" if verdict.law == "hpid" else "PID",
         interval,
         f"{verdict.integral_ratio:.3f}",
@@ -114,12 +104,6 @@ def _cells(verdict: GainVerdict) -> list[str]:
         "-" if verdict.settling_bound is None else f"{verdict.settling_bound:.3g}",
         f"{low:.3g}" if low == high else f"{low:.3g} {high:.3g}",
     ]
-
-
-def _verdict(verdict: GainVerdict) -> Text:
-    if verdict.is_certified:
-        return Text("yes", style="green")
-    return Text("NO", style="red")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -14,9 +14,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from hpid_ros.base.errors import ResultExistsError, SettingError
-from hpid_ros.base.files import refuse_output, write_file
+from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
-from hpid_ros.cli.options import inertias_from
+from hpid_ros.cli.options import inertias_from, write_output
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan
 from hpid_ros.report.table import TableColumn, WideTable
@@ -60,7 +60,10 @@ def run(options: argparse.Namespace) -> int:
     console = output_console()
     _show(console, planned, are_together=options.together)
     if options.plot is not None:
-        _draw(options.plot, planned)
+        from hpid_ros.report.plots import render
+
+        form = options.plot.suffix.lower()[1:]
+        write_output(options.plot, render(excitation_figure(planned), form))
         console.print(f"written: {options.plot}", soft_wrap=True)
     if options.dry_run:
         return DONE
@@ -151,15 +154,6 @@ def _show(console: Console, planned: ExcitationPlan, *, are_together: bool) -> N
 
 def _room(bounds: Any) -> float:
     return float(min(bounds.upper - bounds.position, bounds.position - bounds.lower))
-
-
-def _draw(path: Path, planned: ExcitationPlan) -> None:
-    from hpid_ros.report.plots import render
-
-    try:
-        write_file(path, render(excitation_figure(planned), path.suffix.lower()[1:]))
-    except OSError as error:
-        raise SettingError(f"cannot write {path}: {error.strerror}") from None
 
 
 @contextmanager

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import refuse_output, write_file
+from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import (
     first_homogeneous,
     loop_file,
     require_controller,
     require_joints,
+    write_output,
 )
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.tuning.c_export import c_files, file_names, require_distinct
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     files = [c_files(each, options.precision, options.file.name) for each in loops]
     for each in files:
         for name, text in each.items():
-            _write(options.output / name, text)
+            write_output(options.output / name, text)
     for loop, each in zip(loops, files, strict=True):
         header, source, *_, test = each
         print(f"{loop.joint}: {header}, {source}; to check it: {test}")
@@ -59,11 +60,3 @@ def _refuse_in_the_way(options: argparse.Namespace, loops: Sequence[LoopSettings
     for loop in loops:
         for name in file_names(loop.joint):
             refuse_output(folder / name, force=options.force, inputs=[options.file], option="-o")
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        write_file(path, text)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SettingError(f"cannot write {path}: {reason}") from None

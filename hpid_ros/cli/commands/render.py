@@ -11,10 +11,10 @@ from typing import Any
 
 from rich.console import Console
 
-from hpid_ros.base.errors import ExperimentError, SettingError
-from hpid_ros.base.files import refuse_output, write_file
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.options import progress
+from hpid_ros.cli.options import progress, write_output
 from hpid_ros.cli.terminal import output_console, print_result_places
 from hpid_ros.experiment.result_folder import ResultFolder
 from hpid_ros.report.film import (
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
             if options.report:
                 save_in_report(folder, film)
     if options.output is not None:
-        _write(target, content)
+        write_output(target, content)
     count = len(film.frames)
     what = "1 picture" if count == 1 else f"{count} pictures"
     console.print(f"{what}, {len(content) / 1e6:.2f} MB", highlight=False)
@@ -126,11 +126,3 @@ def _settings(options: argparse.Namespace) -> FilmSettings:
         azimuth=azimuth,
         elevation=elevation,
     )
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        write_file(path, content)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise ExperimentError(f"cannot write {path}: {reason}") from None

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from rich import box
 
-from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.base.files import refuse_output, write_file
+from hpid_ros.base.errors import RobotDescriptionError
+from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.options import load_robot
+from hpid_ros.cli.options import load_robot, write_output
 from hpid_ros.cli.terminal import output_console
-from hpid_ros.report.table import TableColumn, WideTable
+from hpid_ros.report.table import WideTable
 from hpid_ros.robot.amendments import amended, review
 from hpid_ros.robot.description import GivenRobot
 from hpid_ros.robot.dynamics import Dynamics
@@ -56,12 +56,8 @@ def run(options: argparse.Namespace) -> int:
         for each in remarks:
             console.print(f"{_listed(each.names)}: {each.text}", highlight=False, soft_wrap=True)
     if options.save:
-        try:
-            # With nothing to amend, only its meshes are named so that they are found from there.
-            write_file(options.save, amended(robot.description, {}, {}, {}).xml)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise SettingError(f"cannot write {options.save}: {reason}") from None
+        # With nothing to amend, only its meshes are named so that they are found from there.
+        write_output(options.save, amended(robot.description, {}, {}, {}).xml)
     return DONE
 
 
@@ -112,6 +108,7 @@ def _table(name: str, facts: dict[str, dict[str, Any]]) -> WideTable:
 
     rows = [
         (
+            joint,
             f"{_number(fact['lower'])} … {_number(fact['upper'])}",
             *(_number(fact[key]) for key in ("effort", "velocity", "damping", "friction")),
             _number(fact["reflected_inertia"]),
@@ -119,15 +116,9 @@ def _table(name: str, facts: dict[str, dict[str, Any]]) -> WideTable:
             f"{_number(fact['largest_inertia'])})",
             f"{fact['gravity']:.2f}",
         )
-        for fact in facts.values()
+        for joint, fact in facts.items()
     ]
-    cells = zip(*rows, strict=True) if rows else [()] * len(_COLUMNS)
-    return WideTable(
-        [TableColumn("joint", list(facts), is_text=True)],
-        [TableColumn(heading, list(each)) for heading, each in zip(_COLUMNS, cells, strict=True)],
-        title=name,
-        box=box.SIMPLE_HEAD,
-    )
+    return WideTable.of_rows(("joint", *_COLUMNS), rows, title=name, box=box.SIMPLE_HEAD)
 
 
 def _number(value: float | None) -> str:
