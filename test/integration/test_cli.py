@@ -122,6 +122,7 @@ def refused(arguments, capsys):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({"compare": {"a/../b": {"mu": 0.1}}}, "a/../b"),
         ({"durration": 1.0}, "did you mean 'duration'"),
         ({"compare": {"hPID": {"mu": 0.5}}}, "(-0.5, 0.5), not 0.5"),
         ({"compare": {"hPID": {"gains": {"p": math.nan}}}}, "gains.p must lie in"),

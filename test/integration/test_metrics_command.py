@@ -1,9 +1,14 @@
 """``hpid metrics`` as a user meets it: inputs, choices, outputs, one line for what is wrong."""
 
+import contextlib
 import csv
 import io
 import json
+import os
+import re
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -204,6 +209,24 @@ def test_commands_that_may_be_positions_are_efforts_only_if_that_is_said(run, tm
         run(path, "--command-topic", "wrist=/elbow_controller/commands[1]", "--json")[1]
     )["runs"]["bag"]
     assert mapped["joints"]["wrist"]["iavc"] == pytest.approx(3.0 * 399 * 0.005)
+
+
+def test_a_terminal_gets_its_width_and_colours(tmp_path):
+    bag = write_bag(tmp_path / "states", states_bag(tmp_path))
+    master, slave = os.openpty()
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "metrics", str(bag)]
+    environment = {**os.environ, "COLUMNS": "60", "TERM": "xterm"}
+    with subprocess.Popen(command, stdout=slave, stderr=subprocess.PIPE, env=environment) as ended:
+        os.close(slave)
+        printed = b""
+        with contextlib.suppress(OSError):  # how a terminal says that nobody writes any more
+            while block := os.read(master, 4096):
+                printed += block
+    os.close(master)
+    assert ended.returncode == DONE
+    lines = re.sub(r"\x1b\[[\d;]*m", "", printed.decode()).splitlines()
+    assert 40 < max(map(len, lines)) <= 60
+    assert b"\x1b[" in printed
 
 
 # Choices ---------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from hpid_ros.metrics import Comparison
 from hpid_ros.report.table import UNLIMITED_WIDTH, ComparisonTable, TableColumn, WideTable
 from hpid_ros.stability.gain_check import GainVerdict
 
-WIDTHS = (40, 60, 80)
+WIDTHS = (24, 40, 60, 80)
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])")
 
 

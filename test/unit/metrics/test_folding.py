@@ -168,6 +168,7 @@ def test_an_infinite_number_survives_saving():
         (lambda d: {"runs": {}}, "holds no saved indices"),
         (lambda d: d["runs"]["x"].pop("units") and d, "is damaged: no entry 'units'"),
         (lambda d: d["runs"]["x"]["joints"]["a"].update(ivc="high") or d, "'high' is no number"),
+        (lambda d: d["runs"]["x"]["joints"]["a"].update(ivc=10**400) or d, "is damaged"),
         (lambda d: d["runs"]["x"]["units"].update(itae="grad s^2") or d, "must be in rad s"),
         (lambda d: d["runs"]["x"]["units"].update(ivc="N") or d, "ivc is in N, but must be in N"),
         (lambda d: d["runs"]["x"].update(joints={}) or d, "has no joint"),

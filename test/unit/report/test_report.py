@@ -121,6 +121,9 @@ def test_the_answer_comes_first_and_is_the_comparisons_own(text, runs):
     body = text[text.index("<h1>") :]
     assert sentence in body
     assert body.index(sentence) < body.index("<h2>")
+    order = ["Figures", "All indices", "Parameters", "Data", "Provenance"]
+    headings = re.findall(r"<h2[^>]*>([^<]+)</h2>", body)
+    assert [each for each in headings if each in order] == order
 
 
 def test_the_table_holds_every_number_of_every_run(text, runs):
