@@ -10,24 +10,25 @@ from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
 from hpid_ros.base.files import find_resource, write_file
-from hpid_ros.robot.description import GivenRobot
-
-if TYPE_CHECKING:
-    from hpid_ros.control.controller_files import ParameterFile
-    from hpid_ros.control.settings import LoopSettings
-    from hpid_ros.experiment.batch import Runner, RunRecord
-    from hpid_ros.experiment.description import Experiment
-    from hpid_ros.experiment.result_folder import ResultFolder
-    from hpid_ros.messages.selection import BagSelection, Reference
-    from hpid_ros.stability.gain_check import Loop
-
+from hpid_ros.base.records import Section, take_record
+from hpid_ros.base.yaml_files import load_document
+from hpid_ros.control.controller_files import ParameterFile, parameters_from
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.experiment.batch import Runner, RunRecord, run_batch
+from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.metrics.measure import sliding_joints as slides_of_bag
+from hpid_ros.robot.amendments import RobotSection
+from hpid_ros.robot.description import GivenRobot, RobotDescription
+from hpid_ros.robot.dynamics import inertia_ranges
+from hpid_ros.simulation.settings import ENGINES, require_engine
+from hpid_ros.stability.gain_check import Loop, inertia_of
 
 DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"
 """What runs if no file is named."""
@@ -39,8 +40,6 @@ BOTH = "both"
 
 def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
     """Return who is to compute the physics; None as the file says."""
-    from hpid_ros.simulation.settings import ENGINES, require_engine
-
     if options.engine is None:
         return (None,)
     if options.engine not in (*ENGINES, BOTH):
@@ -77,15 +76,11 @@ def warn_uncontrolled(experiments: Iterable[Experiment]) -> None:
 
 def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
     """Return the experiment of a file, or the paper's if none is named."""
-    from hpid_ros.experiment.description import load_experiment
-
     return load_experiment(file or find_resource(DEFAULT_EXPERIMENT), engine)
 
 
 def experiment_to_run(options: argparse.Namespace) -> Experiment:
     """Return the experiment that the options name, in the engine that they name."""
-    from hpid_ros.simulation.settings import ENGINES, require_engine
-
     if options.engine == BOTH:
         known = " or ".join(ENGINES)
         raise SettingError(
@@ -106,8 +101,6 @@ def output_folder(options: argparse.Namespace, name: str) -> Path:
 @contextmanager
 def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Runner]:
     """Give what runs a batch: processes of this machine, or the workers of a scheduler."""
-    from hpid_ros.experiment.batch import run_batch
-
     if options.scheduler is None:
         if options.jobs is not None and options.jobs < 1:
             raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
@@ -188,43 +181,17 @@ def run_progress(console: Console, runs: int) -> Iterator[Callable[[RunRecord], 
         yield ended
 
 
-def bag_selection(
-    options: argparse.Namespace,
-    joints: Sequence[str] | None,
-    reference: Reference = "auto",
-    separates_runs: bool = False,
-) -> BagSelection:
-    """Return what the options choose."""
-    from hpid_ros.messages.selection import BagSelection, parse_command_topics
-
-    return BagSelection(
-        joints=joints,
-        namespace=options.namespace,
-        states=options.states or None,
-        commands=options.commands,
-        command_topics=parse_command_topics(options.command_topic),
-        reference=reference,
-        clock=options.clock,
-        start=options.start,
-        end=options.end,
-        separates_runs=separates_runs,
-    )
-
-
 _POSES = 200
 
 
 def load_robot(name: str) -> GivenRobot:
     """Return the robot of a URDF, of an experiment file or of what ``hpid identify`` wrote."""
-    from hpid_ros.robot.description import RobotDescription
-
     file = find_resource(name)
     if file.suffix not in (".yaml", ".yml"):
         return GivenRobot(str(file), RobotDescription.load(file))
     identified = identified_robot(file)
     if identified is not None:
         return identified
-    from hpid_ros.experiment.description import load_experiment
 
     world = load_experiment(file).world
     source = str(world.robot_description)
@@ -235,11 +202,6 @@ def load_robot(name: str) -> GivenRobot:
 
 def identified_robot(file: Path) -> GivenRobot | None:
     """Return the robot of a file that is no experiment but says of a robot what one would."""
-    from hpid_ros.base.records import Section, take_record
-    from hpid_ros.base.yaml_files import load_document
-    from hpid_ros.robot.amendments import RobotSection
-    from hpid_ros.robot.description import RobotDescription
-
     document = load_document(file, SettingError)
     values = document.values
     if not isinstance(values, Mapping) or "robot" not in values or "compare" in values:
@@ -331,8 +293,6 @@ def _is_file(text: str) -> bool:
 
 def _of_file(file: Path) -> dict[str, Range]:
     """Return the inertias that a file's ``controllers`` section has, by joint."""
-    from hpid_ros.base.yaml_files import load_document
-
     values = load_document(file, SettingError).values
     try:
         joints = values["controllers"]["joints"]
@@ -349,8 +309,6 @@ def _of_file(file: Path) -> dict[str, Range]:
 def _of_robot(
     options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]]
 ) -> dict[str, Range]:
-    from hpid_ros.robot.dynamics import inertia_ranges
-
     wanted = _POSES if options.poses is None else options.poses
     try:
         robot = load_robot(options.urdf)
@@ -366,10 +324,6 @@ def _of_robot(
 
 def loop_file(path: Path) -> tuple[Experiment | None, ParameterFile]:
     """Read a file of loops: those of an experiment have the names of their controllers."""
-    from hpid_ros.base.yaml_files import load_document
-    from hpid_ros.control.controller_files import ParameterFile, parameters_from
-    from hpid_ros.experiment.description import load_experiment
-
     document = load_document(path, SettingError).values
     if not isinstance(document, Mapping) or "compare" not in document:
         return None, parameters_from(document, str(path))
@@ -412,8 +366,6 @@ def shown_name(name: str) -> str:
 
 def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]:
     """Return loops with the inertias to judge them on."""
-    from hpid_ros.stability.gain_check import inertia_of
-
     loops = file.loops.values()
     known = {**file.inertias, **inertias_from(options, [each.joint for each in loops])}
     return [(each, inertia_of(each, known.get(each.joint))) for each in loops]
@@ -428,6 +380,5 @@ def sliding_joints(options: argparse.Namespace, experiment: Experiment | None) -
     bag = getattr(options, "bag", None)
     if bag is None:
         return frozenset()
-    from hpid_ros.metrics.measure import sliding_joints as slides_of_bag
 
     return slides_of_bag(bag, None).slides

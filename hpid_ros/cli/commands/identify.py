@@ -11,8 +11,8 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import find_resource, refuse_outputs
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
+from hpid_ros.cli.commands.metrics import bag_selection
 from hpid_ros.cli.options import (
-    bag_selection,
     load_robot,
     write_output,
 )

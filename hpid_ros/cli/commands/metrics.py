@@ -21,12 +21,11 @@ from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.files import find_resource, refuse_outputs, write_file
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.options import bag_selection
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control.controller_files import settings_from_parameter_file
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.result_folder import ResultFolder, check_place, versions
-from hpid_ros.messages.selection import Reference
+from hpid_ros.messages.selection import BagSelection, Reference, parse_command_topics
 from hpid_ros.metrics.laws import gain_signals
 from hpid_ros.metrics.measure import (
     ALL_JOINTS,
@@ -44,6 +43,27 @@ from hpid_ros.robot.description import RobotDescription
 
 if TYPE_CHECKING:
     from hpid_ros.metrics.task import TaskFrame
+
+
+def bag_selection(
+    options: argparse.Namespace,
+    joints: Sequence[str] | None,
+    reference: Reference = "auto",
+    separates_runs: bool = False,
+) -> BagSelection:
+    """Return what the options choose."""
+    return BagSelection(
+        joints=joints,
+        namespace=options.namespace,
+        states=options.states or None,
+        commands=options.commands,
+        command_topics=parse_command_topics(options.command_topic),
+        reference=reference,
+        clock=options.clock,
+        start=options.start,
+        end=options.end,
+        separates_runs=separates_runs,
+    )
 
 
 def sources_of(options: argparse.Namespace) -> list[Source]:
