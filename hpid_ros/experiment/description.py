@@ -21,10 +21,10 @@ from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings,
 from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.motion.references import BrickPlan, planned_reference, task_schema
 from hpid_ros.robot.compensation import robot_xml, with_inertia
-from hpid_ros.robot.description import JointDescription, RobotDescription
+from hpid_ros.robot.description import JointDescription, RobotDescription, robot_source
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation.settings import ENGINES, WorldSettings
-from hpid_ros.simulation.world_file import WORLD_SECTIONS, read_world, robot_source, world_schema
+from hpid_ros.simulation.world_file import WORLD_SECTIONS, read_world, world_schema
 
 
 def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:

@@ -11,7 +11,6 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from hpid_ros.base.errors import HpidError, SettingError
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.messages.selection import BagSelection, parse_command_topics
 from hpid_ros.metrics.comparison import Comparison
@@ -24,7 +23,7 @@ from hpid_ros.nodes.core.middleware import LATCHED, steady_timer
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.report.export import FORMATS
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import RobotDescription, robot_source
 
 _FINISHED = "metadata.yaml"
 """A recorder writes it last: without it a bag is still being recorded, or was cut off."""
@@ -116,9 +115,10 @@ class BagMetrics(executor.ClosingNode):
             raise SettingError(
                 "the parameter bags must name at least one bag, or watch a folder; both are empty"
             )
+        robot = asked.robot_description
         self._how = Measuring(
             asked.selection(),
-            description=_description(asked.robot_description) if asked.robot_description else None,
+            description=RobotDescription.load(robot_source(robot)) if robot else None,
             keeps_series=False,
         )
         self._format, self._units = asked.format, asked.units
@@ -171,12 +171,6 @@ class BagMetrics(executor.ClosingNode):
         message.header.stamp = self.get_clock().now().to_msg()
         self._publisher.publish(message)
         self._status.send("reported", runs=[run.label for run in runs])
-
-
-def _description(robot: str) -> RobotDescription:
-    """Return the robot of a parameter: XML text, or the path of a file."""
-    is_text = robot.lstrip().startswith("<")
-    return RobotDescription.load(robot if is_text else find_resource(robot))
 
 
 def indices_message(comparison: Comparison) -> DiagnosticArray:

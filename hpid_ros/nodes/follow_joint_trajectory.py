@@ -13,7 +13,6 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from hpid_ros.base.errors import HpidError, SettingError
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes.core import executor
@@ -36,7 +35,7 @@ from hpid_ros.nodes.parts.goals import (
     joint_parameters,
     require_joints,
 )
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import RobotDescription, robot_source
 
 _READINESS_PERIOD = 0.05  # [s]
 _UNHEARD = "no controller listens to joint_trajectory"
@@ -65,55 +64,13 @@ class ActionParameters(Record):
     )
 
 
-class GroupParameters:
-    """Makes of a node's parameters the settings of its group."""
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        asked = read(node, ActionParameters)
-        self.joints = asked.joints or ()
-        require_joints(self.joints)
-        self.state_topics = asked.state_topics or ("joint_states",)
-        if len(set(self.state_topics)) < len(self.state_topics) or "" in self.state_topics:
-            raise SettingError(
-                f"the parameter state_topics must name each topic once, not "
-                f"{list(self.state_topics)}"
-            )
-        self._facts = joint_facts(
-            self.joints,
-            asked.robot_description,
-            asked.angle_wraparound or (),
-            asked.multi_turn or (),
-        )
-        specs = {**FIXED_PARAMETERS, **GOAL_PARAMETERS}
-        for joint in self.joints:
-            specs |= joint_parameters(joint)
-        self._names = tuple(specs)
-        declare(node, specs.values(), read_only=FIXED_PARAMETERS)
-        self.settings()
-
-    def settings(self, changes: Sequence[Parameter] = ()) -> GroupSettings:
-        """Return the settings that would be active after a change."""
-        values = {name: self._node.get_parameter(name).value for name in self._names}
-        values.update({each.name: each.value for each in changes if each.name in values})
-        return GroupSettings.from_parameters(self.joints, self._facts, values)
-
-    def verdict(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        try:
-            self.settings(changes)
-        except HpidError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-
 def joint_facts(
     joints: Sequence[str], source: str, wrapping: Sequence[str], counting: Sequence[str]
 ) -> dict[str, JointFacts]:
     require_joints(joints, wrapping, counting)
     facts = {joint: JointFacts() for joint in joints}
     if source:
-        path = source if source.lstrip().startswith("<") else str(find_resource(source))
-        for joint in RobotDescription.load(path).select(joints):
+        for joint in RobotDescription.load(robot_source(source)).select(joints):
             is_endless = joint.type == "continuous"
             facts[joint.name] = JointFacts(
                 joint.lower,
@@ -167,14 +124,25 @@ class JointTrajectoryController(executor.ClosingNode):
     def __init__(self, name: str = "joint_trajectory_controller") -> None:
         action_type()
         super().__init__(name)
-        self._group = GroupParameters(self)
-        self._follower = GoalFollower(self._group.settings())
-        joints = self._group.joints
+        asked = read(self, ActionParameters)
+        self._joints = joints = asked.joints or ()
+        self._facts = joint_facts(
+            joints, asked.robot_description, asked.angle_wraparound or (), asked.multi_turn or ()
+        )
+        topics = asked.state_topics or ("joint_states",)
+        if len(set(topics)) < len(topics) or "" in topics:
+            line = f"the parameter state_topics must name each topic once, not {list(topics)}"
+            raise SettingError(line)
+        self._specs = {**FIXED_PARAMETERS, **GOAL_PARAMETERS}
+        for joint in joints:
+            self._specs |= joint_parameters(joint)
+        declare(self, self._specs.values(), read_only=FIXED_PARAMETERS)
+        self._follower = GoalFollower(self._settings())
         self._health = GoalHealth(self, joints)
         self._topics = GroupTopics(
             self,
             self._follower,
-            self._group.state_topics,
+            topics,
             {joint: f"{controller_name(joint)}/reference" for joint in joints},
             self._act,
             self._health.fault,
@@ -187,9 +155,22 @@ class JointTrajectoryController(executor.ClosingNode):
         rate = float(self.get_parameter("action_monitor_rate").value)
         steady_timer(self, 1.0 / rate, self._send_feedback)
         steady_timer(self, 1.0, self._report)
-        self.add_on_set_parameters_callback(self._group.verdict)
+        self.add_on_set_parameters_callback(self._verdict)
         self.add_post_set_parameters_callback(self._change)
         StatusPipe(self).send("listening")
+
+    def _settings(self, changes: Sequence[Parameter] = ()) -> GroupSettings:
+        """Return the settings that would be active after a change."""
+        values = {name: self.get_parameter(name).value for name in self._specs}
+        values.update({each.name: each.value for each in changes if each.name in values})
+        return GroupSettings.from_parameters(self._joints, self._facts, values)
+
+    def _verdict(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            self._settings(changes)
+        except HpidError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def _begin(self, request: GoalRequest) -> None:
         if not self._topics.subscribers():
@@ -215,16 +196,16 @@ class JointTrajectoryController(executor.ClosingNode):
         if self._is_ready or self._against():
             return
         self._is_ready = True
-        joints = ", ".join(self._group.joints)
+        joints = ", ".join(self._joints)
         self.get_logger().info(f"ready for goals on {self._server.name}: {joints}")
 
     def _send_feedback(self) -> None:
         feedback = self._follower.feedback()
         if feedback is not None:
-            self._server.send_feedback(feedback, self._group.joints)
+            self._server.send_feedback(feedback, self._joints)
 
     def _change(self, changes: Sequence[Parameter]) -> None:
-        self._follower.settings = self._group.settings()
+        self._follower.settings = self._settings()
 
     def _report(self) -> None:
         warnings = []
@@ -232,7 +213,7 @@ class JointTrajectoryController(executor.ClosingNode):
             warnings.append(f"{', '.join(sorted(rivals))} may send trajectories, too")
         silent = [
             joint
-            for joint, has in zip(self._group.joints, self._topics.has_reference, strict=True)
+            for joint, has in zip(self._joints, self._topics.has_reference, strict=True)
             if not has
         ]
         if silent and self._topics.subscribers():

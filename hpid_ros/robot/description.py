@@ -8,7 +8,7 @@ are read from the transmissions in Drake's convention, ``drake:rotor_inertia`` a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -20,6 +20,11 @@ from hpid_ros.base.files import find_resource, is_file, package_folder
 from hpid_ros.control.settings import LoopSettings
 
 _FILE, _PACKAGE = "file://", "package://"
+
+
+def robot_source(source: str, folders: Sequence[Path] = ()) -> str | Path:
+    """Return a URDF's text as it is, and where the file is that anything else names."""
+    return source if source.lstrip().startswith("<") else find_resource(source, folders)
 
 
 def find_mesh(filename: str, folder: Path | None) -> Path | None:

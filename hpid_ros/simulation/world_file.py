@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.records import Record, Section, quantity, take_layered, take_record
 from hpid_ros.base.schema import json_schema, layered_schema
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import Document
 from hpid_ros.motion.references import PlannedReference, planned_reference
 from hpid_ros.robot.amendments import RobotSection
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import RobotDescription, robot_source
 from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.settings import (
     ENGINES,
@@ -170,11 +169,6 @@ def _whole(kind: type[Any], section: Section) -> Any:
 
 def _load(source: str, folders: Sequence[Path]) -> RobotDescription:
     return RobotDescription.load(robot_source(source, folders))
-
-
-def robot_source(source: str, folders: Sequence[Path]) -> str | Path:
-    """Return a URDF's text as it is, and where the file is that anything else names."""
-    return source if source.lstrip().startswith("<") else find_resource(source, folders)
 
 
 def _description(robot: RobotSection, known: RobotDescription, folders: Sequence[Path]) -> str:
