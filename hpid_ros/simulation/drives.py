@@ -90,16 +90,6 @@ class Motor(Record):
         "Whether a current loop makes up for the back EMF", default="current", choices=DRIVES
     )
 
-    @property
-    def stall_torque(self) -> float:
-        """Largest torque at standstill, in [N m]."""
-        return self.torque_constant * self.supply_voltage / self.resistance
-
-    @property
-    def no_load_speed(self) -> float:
-        """Speed at which the back EMF equals the supply, in [rad/s]."""
-        return self.supply_voltage / self.torque_constant
-
     def time_constant(self, rotor_inertia: float) -> float:
         """Return the mechanical time constant ``J R / k^2`` of the bare rotor, in [s]."""
         return rotor_inertia * self.resistance / self.torque_constant**2

@@ -34,33 +34,41 @@ MOTORS = st.builds(
 PARTS = st.floats(-1.0, 1.0)
 
 
+def stall_torque(motor: Motor) -> float:
+    return motor.torque_constant * motor.supply_voltage / motor.resistance
+
+
+def no_load_speed(motor: Motor) -> float:
+    return motor.supply_voltage / motor.torque_constant
+
+
 @given(motor=MOTORS, part=PARTS, speed=st.floats(-2.0, 2.0))
 def test_a_current_loop_gives_the_torque_asked_for_as_far_as_the_line_reaches(
     motor: Motor, part: float, speed: float
 ):
     motor = replace(motor, drive="current")
-    wanted, omega = part * motor.stall_torque, speed * motor.no_load_speed
+    wanted, omega = part * stall_torque(motor), speed * no_load_speed(motor)
     given_torque = motor.torque(motor.duty(wanted, omega), omega)
-    low, high = (motor.stall_torque * (end - speed) for end in (-1.0, 1.0))
+    low, high = (stall_torque(motor) * (end - speed) for end in (-1.0, 1.0))
     expected = min(max(wanted, low), high)
-    assert given_torque == pytest.approx(expected, abs=1e-9 * motor.stall_torque)
+    assert given_torque == pytest.approx(expected, abs=1e-9 * stall_torque(motor))
 
 
 @given(motor=MOTORS, part=PARTS, speed=PARTS)
 def test_a_bare_bridge_brakes_with_the_back_emf(motor: Motor, part: float, speed: float):
     motor = replace(motor, drive="voltage")
-    wanted, omega = part * motor.stall_torque, speed * motor.no_load_speed
+    wanted, omega = part * stall_torque(motor), speed * no_load_speed(motor)
     braking = motor.torque_constant**2 / motor.resistance * omega
     given_torque = motor.torque(motor.duty(wanted, omega), omega)
-    assert given_torque == pytest.approx(wanted - braking, abs=1e-9 * motor.stall_torque)
+    assert given_torque == pytest.approx(wanted - braking, abs=1e-9 * stall_torque(motor))
 
 
 @given(motor=MOTORS, part=PARTS, speed=PARTS)
 def test_electrical_power_is_mechanical_power_and_heat(motor: Motor, part: float, speed: float):
-    omega = speed * motor.no_load_speed
+    omega = speed * no_load_speed(motor)
     torque = motor.torque(part, omega)
     current = torque / motor.torque_constant
-    scale = motor.stall_torque * motor.no_load_speed
+    scale = stall_torque(motor) * no_load_speed(motor)
     assert part * motor.supply_voltage * current == pytest.approx(
         torque * omega + motor.resistance * current**2, abs=1e-9 * scale
     )
@@ -83,7 +91,7 @@ def test_the_mechanical_time_constant_is_that_of_the_run_up():
     speed = 0.0
     for _ in range(round(MOTOR.time_constant(inertia) / step)):
         speed += step * MOTOR.torque(1.0, speed) / inertia
-    assert speed == pytest.approx((1.0 - math.exp(-1.0)) * MOTOR.no_load_speed, rel=1e-3)
+    assert speed == pytest.approx((1.0 - math.exp(-1.0)) * no_load_speed(MOTOR), rel=1e-3)
 
 
 @given(pwm=PWMS, duty=st.floats(-2.0, 2.0))

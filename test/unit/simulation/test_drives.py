@@ -190,7 +190,7 @@ def test_between_two_cycles_of_the_bridge_the_voltage_stands():
 def test_at_standstill_the_bridge_and_the_motor_err_by_half_a_step():
     pwm = Pwm(bits=8)
     drive = Drive(DriveSettings(MOTOR, pwm), JOINT, 1e-3)
-    stall = JOINT.gear_ratio * MOTOR.stall_torque
+    stall = JOINT.gear_ratio * MOTOR.torque(1.0, 0.0)
     for period, effort in enumerate(np.linspace(-6.0, 6.0, 101)):
         drive.command(float(effort))
         assert abs(drive.torque(period, 0.0) - effort) <= stall * pwm.resolution / 2.0 + 1e-9
