@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -101,7 +101,7 @@ class RunTask:
         return RunRecord(numbers)
 
 
-class WorldKeeper:
+class WorldKeeper(AbstractContextManager["WorldKeeper"]):
     """Keeps the world of the last run for the next one.
 
     Building a world takes as long as a thousand physics steps, mostly settling on the ground;
@@ -110,9 +110,6 @@ class WorldKeeper:
 
     def __init__(self) -> None:
         self._world: World | None = None
-
-    def __enter__(self) -> WorldKeeper:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

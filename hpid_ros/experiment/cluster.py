@@ -17,6 +17,7 @@ import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -142,7 +143,7 @@ _LARGEST_PORT = 65_535
 _ANSWERS_WITHIN = 10.0  # [s]
 
 
-class Cluster:
+class Cluster(AbstractContextManager["Cluster"]):
     """The workers of a scheduler. It runs batches: call it with tasks.
 
     A worker that is lost gives its runs to the others; a worker that comes later takes part.
@@ -159,9 +160,6 @@ class Cluster:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Cluster:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

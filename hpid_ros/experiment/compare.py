@@ -386,24 +386,9 @@ def compare(
     force: bool = False,
     has_figures: bool = True,
 ) -> Compared:
-    """Run an experiment's controllers one after the other, record, compute, draw, certify.
-
-    Args:
-        experiment: The experiment.
-        output: Folder of the result.
-        progress: Is told how far it is.
-        in_process: Run without ROS; the numbers are the same.
-        force: Replace a result that is there already.
-        has_figures: Draw the figures as well, which take the longest.
-
-    Raises:
-        HpidError: The folder is in the way, a run failed, or a bag cannot be read.
-    """
+    """Run an experiment's controllers one after the other, record, compute, draw, certify."""
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
-        if experiment.engine_note:
-            progress.note(experiment.engine_note)
-        result, reports = _compare(experiment, folder, progress, in_process, has_figures)
-    return Compared(result, tuple(reports), folder)
+        return _compare(experiment, folder, progress, in_process, has_figures)
 
 
 @dataclass(frozen=True)
@@ -437,8 +422,7 @@ def compare_engines(
             engine = experiment.world.engine
             part = folder.part(engine)
             told = NamedProgress(progress, engine, list(experiment.controllers))
-            result, reports = _compare(experiment, part, told, in_process, has_figures)
-            compared[engine] = Compared(result, tuple(reports), part)
+            compared[engine] = _compare(experiment, part, told, in_process, has_figures)
         totals = _engine_totals({engine: each.result for engine, each in compared.items()})
         both = ComparedEngines(compared, totals, folder)
         folder.write("engines.txt", grids_text(both.grids))
@@ -470,7 +454,9 @@ def _compare(
     progress: Progress,
     in_process: bool,
     has_figures: bool,
-) -> tuple[Result, list[RunReport]]:
+) -> Compared:
+    if experiment.engine_note:
+        progress.note(experiment.engine_note)
     folder.write(EXPERIMENT, experiment.text)
     reports = []
     for label in experiment.controllers:
@@ -489,4 +475,4 @@ def _compare(
     save(result, folder, reports, how, has_figures=has_figures)
     progress.phase("", "certifying the degrees")
     folder.write("certificates.json", json.dumps(certificates(experiment.controllers)) + "\n")
-    return result, reports
+    return Compared(result, tuple(reports), folder)

@@ -25,7 +25,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -276,7 +276,7 @@ class NodeProcess:
         return lines[-1] if lines else "it printed nothing"
 
 
-class NodeGroup:
+class NodeGroup(AbstractContextManager["NodeGroup"]):
     """Starts nodes and ends all of them, whatever happens."""
 
     popen: ClassVar[type[subprocess.Popen[bytes]]] = subprocess.Popen
@@ -332,9 +332,6 @@ class NodeGroup:
         """End nodes: ask all of them, then kill those that have not gone."""
         chosen = self.nodes if names is None else names
         end_all((self.nodes[name].process for name in chosen), patience)
-
-    def __enter__(self) -> NodeGroup:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.stop()
