@@ -21,8 +21,11 @@ GAINS = Gains(p=3.0, i=1.0, d=3.0)
 DIRECTIONS = ((0.3, -1.0, 0.5), (0.0, 0.0, 1.0))
 
 
-def norms(degree):
-    return (WeightedNorm(degree, 1.0, 1.0), CanonicalNorm(degree, ((1.0, 0.2), (0.2, 1.0))))
+def transients(degree):
+    """Give a test both norms, each from a direction of its own."""
+    norms = WeightedNorm(degree, 1.0, 1.0), CanonicalNorm(degree, ((1.0, 0.2), (0.2, 1.0)))
+    cases = zip(norms, DIRECTIONS, strict=True)
+    return pytest.mark.parametrize(("norm", "direction"), cases, ids=["weighted", "canonical"])
 
 
 class Transient:
@@ -60,8 +63,7 @@ class Transient:
         return np.array([times[0] for times in solution.t_events])
 
 
-@pytest.mark.parametrize("norm", norms(-0.3), ids=["weighted", "canonical"])
-@pytest.mark.parametrize("direction", DIRECTIONS)
+@transients(-0.3)
 def test_negative_degrees_settle_in_finite_time(norm, direction):
     transient = Transient(norm)
     levels = 10.0 ** -np.arange(1.0, 8.0)
@@ -74,8 +76,7 @@ def test_negative_degrees_settle_in_finite_time(norm, direction):
     assert last - times[2] < 2.0 * (times[3] - times[2]) / (1.0 - 10.0**norm.degree)
 
 
-@pytest.mark.parametrize("norm", norms(0.0), ids=["weighted", "canonical"])
-@pytest.mark.parametrize("direction", DIRECTIONS)
+@transients(0.0)
 def test_degree_zero_settles_exponentially(norm, direction):
     transient = Transient(norm)
     times = transient.times(direction, 1.0, 10.0 ** -np.arange(1.0, 8.0))
@@ -84,8 +85,7 @@ def test_degree_zero_settles_exponentially(norm, direction):
     assert gaps.max() <= math.log(10.0) / transient.decay
 
 
-@pytest.mark.parametrize("norm", norms(0.3), ids=["weighted", "canonical"])
-@pytest.mark.parametrize("direction", DIRECTIONS)
+@transients(0.3)
 def test_positive_degrees_come_close_in_a_time_that_no_start_exceeds(norm, direction):
     transient = Transient(norm)
     starts = 10.0 ** np.arange(0.5, 6.5)
