@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-from hpid_ros.base.errors import GainError
+from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.norms import WeightedNorm, require_floor
 
@@ -31,7 +31,7 @@ class Gains(Record, prefix="gains."):
         d: Derivative gain, in [N m s / rad].
 
     Raises:
-        GainError: A gain is not finite or is negative.
+        GainError: A gain is not within [0, 1e6].
     """
 
     p: float = _gain("Proportional", "N m/rad")
@@ -39,13 +39,10 @@ class Gains(Record, prefix="gains."):
     d: float = _gain("Derivative", "N m s/rad")
 
     def __post_init__(self) -> None:
-        for name in ("p", "i", "d"):
-            value = getattr(self, name)
-            if not math.isfinite(value) or value < 0.0:
-                raise GainError(
-                    f"gain {name} must be finite and not negative "
-                    f"(error = reference - measurement), not {value}"
-                )
+        try:
+            super().__post_init__()
+        except SettingError as error:
+            raise GainError(str(error)) from None
 
 
 def is_hurwitz(gains: Gains, inertia: float = 1.0) -> bool:

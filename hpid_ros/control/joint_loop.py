@@ -18,15 +18,30 @@ from hpid_ros.control.assembly import (
 )
 from hpid_ros.control.estimation import Estimation
 from hpid_ros.control.homogeneous_pid import Terms
-from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
+from hpid_ros.control.limited_law import LimitedLaw
+from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, relay_obstacle
 from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Following, Motion
-from hpid_ros.control.settings import LoopSettings, Timing
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import VelocitySource
 
 
 class LoopState(Enum):
-    """What a loop is doing."""
+    """What a loop is doing.
+
+    =====================  ====================================================================
+    event                  next state
+    =====================  ====================================================================
+    usable state           HOLDING, or FOLLOWING where there is a motion
+    state refused          FAULT, SILENT stays SILENT; the first jump of a position changes none
+    ``note_timeout``       SILENT
+    clock back, ``reset``  WAITING: the next usable state is the first
+    =====================  ====================================================================
+
+    Beside it one flag, ``JointLoop._is_takeover_due``: the next usable state is a takeover. Set by
+    ``supersede``, both timeouts (of a wall clock), a gap between stamps and a jump that was
+    confirmed; cleared by the usable state and by ``reset``.
+    """
 
     WAITING = "waiting for the first state"
     HOLDING = "holding its position"
@@ -53,40 +68,6 @@ class LoopCounts:
 
 _NO_MODEL = ModelTerm(1.0, 0.0)
 _LATE = 1.5  # control periods between two states; beyond it at least one was lost
-
-
-class LoopClock:
-    """Keeps the stamps of the states that a loop was given."""
-
-    __slots__ = ("_counts", "_unusable", "has_timed_out", "stamp_ns", "unusable_ns")
-
-    def __init__(self, counts: LoopCounts) -> None:
-        self._counts = counts
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget the time: the next state is the first one."""
-        self.stamp_ns: int | None = None
-        self.unusable_ns: int | None = None
-        self.has_timed_out = False
-        self._unusable = 0
-
-    def take(self, stamp_ns: int, dt: float, timing: Timing) -> None:
-        """Take the stamp of a usable state."""
-        self.stamp_ns = stamp_ns
-        self.has_timed_out = False
-        period = timing.control_period
-        if dt > _LATE * period:
-            self._counts.missed += max(round(dt / period) - 1 - self._unusable, 0)
-            self._counts.gaps += dt > timing.state_timeout
-        if self.unusable_ns is not None:
-            self.unusable_ns = None
-            self._unusable = 0
-
-    def skip(self, stamp_ns: int) -> None:
-        """Take the stamp of a state that cannot be used."""
-        self.unusable_ns = stamp_ns
-        self._unusable += 1
 
 
 class Snapshot(NamedTuple):
@@ -132,7 +113,6 @@ class JointLoop:
         self._law = LimitedLaw(settings)
         self._feedforward = Feedforward(feedforward_gains(settings))
         self._unwrapper = make_unwrapper(settings.encoder)
-        self._clock = LoopClock(self.counts)
         self._adopt(settings)
         self.reset()
 
@@ -171,7 +151,7 @@ class JointLoop:
         if law.relay is not None:
             against = "there is one already"
         elif self.state not in (LoopState.HOLDING, LoopState.FOLLOWING) or self._is_takeover_due:
-            against = str(self.state.value)
+            against = self.state.value
         elif self._following.velocity or self._following.acceleration:
             against = "the reference moves"
         load = law.integral + law.model_effort + self._feedforward.effort
@@ -216,7 +196,7 @@ class JointLoop:
             raise SettingError("compensation and its model cannot change while the loop runs")
         self.end_relay("parameters were set")
         law, estimation, following = self._law, self._estimation, self._following
-        position = None if self._clock.stamp_ns is None else self._position
+        position = None if self.stamp_ns is None else self._position
         estimation.retune(settings, position, law.driving_effort, law.gain)
         law.retune(settings, None if position is None else (position, estimation.velocity))
         if less := estimation.update_fed_effort(law.gain):
@@ -231,13 +211,13 @@ class JointLoop:
                 self._unwrapper.restart_after(max(settings.encoder.wrap, 0.0) or math.inf)
         self._adopt(settings)
         if change:
-            self._compensate_jump(change, self._clock.stamp_ns or 0)
+            self._compensate_jump(change, self.stamp_ns or 0)
         if self.is_on_fallback:
             law.override_effort(settings.effort.fallback)
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion again with the next state."""
-        self._drop_relay("the loop began anew")
+        self._drop_relay("the loop began again")
         self._law.reset()
         self._estimation.reset()
         self._feedforward.reset()
@@ -245,13 +225,14 @@ class JointLoop:
         self.error = 0.0
         if self._unwrapper is not None:
             self._unwrapper.reset()
-        self._clock.restart()
+        self.stamp_ns: int | None = None
+        """Stamp of the last usable state in [ns]; None before the first one."""
+        self._refused_ns: int | None = None  # stamp of the last state, where it was not usable
+        self._refused = 0  # states since the last usable one
         self._position = 0.0
-        self._state = LoopState.WAITING
-        # What the next usable state has to settle:
-        self._is_takeover_due = False  # the loop starts again from where the joint is
-        self._before_gap: Snapshot | None = None  # what was, should the gap's stamp be wrong
-        # stamp and position [rad] of a state that the joint cannot have reached; the next decides
+        self.state = LoopState.WAITING
+        self._is_takeover_due = False
+        self._before_gap: Snapshot | None = None
         self._outlier: tuple[int, float] | None = None
 
     def release(self) -> None:
@@ -270,7 +251,7 @@ class JointLoop:
         Returns:
             ``fallback_effort``, within the effort limits, in [N m].
         """
-        self._clock.has_timed_out = True
+        self.state = LoopState.SILENT
         self._drop_relay("no state came")
         self.counts.silences += 1
         if not self._timing.is_simulated:
@@ -300,9 +281,9 @@ class JointLoop:
     @property
     def is_on_fallback(self) -> bool:
         """Whether the active effort is ``fallback_effort``, for want of a usable state."""
-        if self._clock.has_timed_out:
+        if self.state is LoopState.SILENT:
             return not self._timing.is_simulated
-        return self._state is LoopState.FAULT
+        return self.state is LoopState.FAULT
 
     @property
     def velocity_origin(self) -> str:
@@ -325,8 +306,17 @@ class JointLoop:
         Args:
             duration: In [s], positive.
         """
-        velocity = self._estimation.stop_velocity_source(self._position)
-        return self._law.damping_stop(velocity, self._uses_velocity, self.stamp_ns, duration)
+        law, settings = self._law, self.settings
+        return DampingStop(
+            damping=law.gain * settings.gains.d,
+            velocity=self._estimation.stop_velocity_source(self._position),
+            uses_velocity=self._uses_velocity,
+            limits=law.limits,
+            clamp=settings.effort,
+            effort=law.effort,
+            stamp_ns=self.stamp_ns or 0,
+            duration=duration,
+        )
 
     def step(
         self,
@@ -348,9 +338,9 @@ class JointLoop:
             The effort in [N m]: finite, within the limits, and the fallback when the state is
             not finite.
         """
-        clock, law, timing = self._clock, self._law, self._timing
-        before_ns = clock.stamp_ns
-        if stamp_ns == before_ns or stamp_ns == clock.unusable_ns:
+        law, timing = self._law, self._timing
+        before_ns = self.stamp_ns
+        if stamp_ns == before_ns or stamp_ns == self._refused_ns:
             self.counts.repeats += 1
             return law.effort
         if not self._uses_velocity:
@@ -365,57 +355,50 @@ class JointLoop:
             return self.reject(stamp_ns, reason)
         if self._before_gap is not None:
             before_ns = self._settle_gap(stamp_ns)
-        interval = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
-        is_next = 0.0 < interval <= timing.state_timeout
+        dt = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
+        is_next = 0.0 < dt <= timing.state_timeout
         if not is_next:
-            self._interrupt(interval)
+            self._interrupt(dt)
         if self._unwrapper is not None:
             position = self._unwrapper.update(position)
             if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
                 return self.reject(stamp_ns, f"position {position} rad with its turns")
-        allowed = self._step_max + self._speed_max * interval
+        allowed = self._step_max + self._speed_max * dt
         if is_next and abs(position - self._position) > allowed:
-            held = self._check_jump(stamp_ns, position, interval)
+            held = self._check_jump(stamp_ns, position, dt)
             if held is not None:
                 return held
-        integrated = dt = interval if is_next else 0.0
-        if clock.unusable_ns is not None:
+        if self._refused_ns is not None:
             self._outlier = None
-            integrated = min(dt, timing.control_period)  # what was not seen is not integrated
         self._position = position
         is_takeover = False
         if self._is_takeover_due or not self._following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
         try:
-            effort = self._update(
-                stamp_ns, position, velocity, model, dt, integrated, is_takeover=is_takeover
+            effort = self._answer(
+                stamp_ns, position, velocity, dt if is_next else 0.0, model, is_takeover
             )
         except ArithmeticError as fault:
             self.last_fault = str(fault)
             self._skip(stamp_ns)
             return self._fault()
-        is_holding = self._following.motion is None
-        self._state = LoopState.HOLDING if is_holding else LoopState.FOLLOWING
-        clock.take(stamp_ns, interval, timing)
-        self.counts.samples += 1
-        self.counts.saturated += law.is_saturated
+        self.state = LoopState.FOLLOWING if self.has_motion else LoopState.HOLDING
+        self._count(dt)
+        self.stamp_ns, self._refused_ns, self._refused = stamp_ns, None, 0
         return effort
 
-    def _update(
+    def _answer(
         self,
         stamp_ns: int,
         position: float,
         velocity: float | None,
-        model: ModelTerm | None,
         dt: float,
-        integrated: float,
-        *,
+        model: ModelTerm | None,
         is_takeover: bool,
     ) -> float:
-        """Answer a state that counts: estimation, reference, feedforward, law.
+        """Answer a usable state: estimation, reference, feedforward, law.
 
-        ``dt`` is the time since the last state, 0 where that is not known; ``integrated`` the
-        part of it over which the error is integrated.
+        After a gap, as for the first state, ``dt`` is 0.
         """
         law, following, estimation = self._law, self._following, self._estimation
         if estimation.has_observer:
@@ -424,7 +407,6 @@ class JointLoop:
         if estimation.feeds_disturbance:
             alone = model or _NO_MODEL
             model = alone._replace(effort=alone.effort + estimation.feed(alone.gain))
-        speed = estimation.velocity
         wanted, rate, acceleration = following.sample(stamp_ns, self._takeover_time, law.limits)
         if rate and law.relay is not None:
             law.relay.end("the reference moves")
@@ -432,15 +414,22 @@ class JointLoop:
         if self._feedforward.is_active or following.gives_effort:
             feedforward = self._feed_forward(stamp_ns, is_takeover=is_takeover)
         if is_takeover:
-            law.restart(model, acceleration, feedforward, keeps_damping=dt > 0.0)
+            law.restart(
+                model=model,
+                acceleration=acceleration,
+                feedforward=feedforward,
+                keeps_damping=dt > 0.0,
+            )
         self.error = error = wanted - estimation.position
+        if self._refused_ns is not None:
+            dt = min(dt, self._timing.control_period)  # what was not seen is not integrated
         try:
             return law.update(
                 error,
-                rate - speed,
-                position,
-                speed,
-                integrated,
+                rate - estimation.velocity,
+                dt,
+                position=position,
+                velocity=estimation.velocity,
                 model=model,
                 acceleration=acceleration,
                 feedforward=feedforward,
@@ -448,6 +437,15 @@ class JointLoop:
         except ArithmeticError:
             estimation.restart()
             raise
+
+    def _count(self, dt: float) -> None:
+        """Count a usable state, so long after the one before, and those lost between them."""
+        counts, timing = self.counts, self._timing
+        counts.samples += 1
+        counts.saturated += self._law.is_saturated
+        if dt > _LATE * timing.control_period:
+            counts.missed += max(round(dt / timing.control_period) - 1 - self._refused, 0)
+            counts.gaps += dt > timing.state_timeout
 
     def _feed_forward(self, stamp_ns: int, *, is_takeover: bool) -> float:
         """Return the effort that the reference of this sample needs, in [N m]."""
@@ -477,8 +475,7 @@ class JointLoop:
             ``fallback_effort``, within the effort limits, in [N m]; for a repeat the active
             effort.
         """
-        clock = self._clock
-        if stamp_ns in (clock.stamp_ns, clock.unusable_ns):
+        if stamp_ns in (self.stamp_ns, self._refused_ns):
             self.counts.repeats += 1
             return self._law.effort
         self.last_fault = reason
@@ -487,43 +484,43 @@ class JointLoop:
 
     def _skip(self, stamp_ns: int) -> None:
         """Pass over a state that cannot be used; the observer goes on under the effort sent."""
-        clock = self._clock
-        if clock.stamp_ns is not None:
-            last_ns = clock.stamp_ns if clock.unusable_ns is None else clock.unusable_ns
-            interval = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
-            if 0.0 < interval <= self._timing.state_timeout:
+        if self.stamp_ns is not None:
+            last_ns = self.stamp_ns if self._refused_ns is None else self._refused_ns
+            dt = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
+            if 0.0 < dt <= self._timing.state_timeout:
                 self._estimation.send(self._law.driving_effort, self._law.gain)
-                self._estimation.coast(interval)
-        clock.skip(stamp_ns)
+                self._estimation.coast(dt)
+        self._refused_ns = stamp_ns
+        self._refused += 1
 
     def _fault(self) -> float:
         self._drop_relay("a state could not be used")
         self.counts.rejected += 1
-        self._state = LoopState.FAULT
+        if self.state is not LoopState.SILENT:
+            self.state = LoopState.FAULT
         self._law.override_effort(self.settings.effort.fallback)
         return self._law.effort
 
-    def _interrupt(self, interval: float) -> None:
+    def _interrupt(self, dt: float) -> None:
         """Handle a first state, a clock that went back (reset), or a gap (takeover)."""
-        if interval < 0.0:
-            self.last_fault = f"the stamp went back by {-interval:g} s"
+        if dt < 0.0:
+            self.last_fault = f"the stamp went back by {-dt:g} s"
             self.counts.resets += 1
             self.reset()
-        elif interval > 0.0:
-            self.last_fault = f"no usable state for {interval:g} s by the stamps"
-            last_ns = self._clock.stamp_ns
-            assert last_ns is not None
+        elif dt > 0.0:
+            self.last_fault = f"no usable state for {dt:g} s by the stamps"
+            assert self.stamp_ns is not None
             self._before_gap = Snapshot(
-                last_ns,
-                self.counts.takeovers,
-                self.settings,
-                copy(self._following),
-                copy(self._feedforward),
-                self._estimation.copy_of_source(),
-                self._law.raw_integral,
+                stamp_ns=self.stamp_ns,
+                takeovers=self.counts.takeovers,
+                settings=self.settings,
+                following=copy(self._following),
+                feedforward=copy(self._feedforward),
+                velocity=self._estimation.copy_of_source(),
+                integral=self._law.raw_integral,
             )
             self._is_takeover_due = True
-            if self._clock.has_timed_out:
+            if self.state is LoopState.SILENT:
                 self._law.override_effort(self.settings.effort.fallback)
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()
@@ -531,23 +528,23 @@ class JointLoop:
     def _settle_gap(self, stamp_ns: int) -> int | None:
         """Undo a gap whose stamp was wrong, and return the stamp of the last usable state."""
         before, self._before_gap = self._before_gap, None
-        last_ns = self._clock.stamp_ns
+        last_ns = self.stamp_ns
         assert before is not None
         assert last_ns is not None
-        interval = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
-        if stamp_ns > last_ns or not 0.0 <= interval <= self._timing.state_timeout:
+        dt = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
+        if stamp_ns > last_ns or not 0.0 <= dt <= self._timing.state_timeout:
             return last_ns
         newest, self._following = self._following.motion, before.following
         if newest is not before.following.motion:
             self._following.follow(newest)
-        if self.settings is before.settings:  # else the source is another, or its parameters are
+        if self.settings is before.settings:  # else the source is another, or of another design
             self._estimation.restore_source(before.velocity)
             self._feedforward = before.feedforward
         self._law.restore_integral(before.integral)
         self.counts.takeovers = before.takeovers
         return before.stamp_ns
 
-    def _check_jump(self, stamp_ns: int, position: float, interval: float) -> float | None:
+    def _check_jump(self, stamp_ns: int, position: float, dt: float) -> float | None:
         """Answer a state whose position is where no joint can have come to, or believe it.
 
         The first one is passed over: the active effort stays. The second is believed, as a
@@ -563,8 +560,7 @@ class JointLoop:
                 self._is_takeover_due = True
                 return None
         self.counts.jumps += 1
-        jump = abs(position - self._position)
-        step = f"the position jumped by {jump:g} rad in {interval:g} s"
+        step = f"the position jumped by {abs(position - self._position):g} rad in {dt:g} s"
         if first is not None:
             return self.reject(stamp_ns, step)
         self.last_fault = step
@@ -584,16 +580,11 @@ class JointLoop:
             following.stand(position)
             return False
         if law.relay is not None:
-            self._drop_relay("the joint was taken over anew")
+            self._drop_relay("the joint was taken over again")
             law.override_effort(law.effort)  # the relay's share is in none of the law's terms
         self._estimation.restart()
         following.take_over(stamp_ns, position, self._takeover_time)
         return True
-
-    @property
-    def state(self) -> LoopState:
-        """What the loop is doing."""
-        return LoopState.SILENT if self._clock.has_timed_out else self._state
 
     @property
     def effort(self) -> float:
@@ -624,11 +615,6 @@ class JointLoop:
     def reference(self) -> tuple[float, float]:
         """Reference position [rad] and velocity [rad/s] of the last sample."""
         return self._following.position, self._following.velocity
-
-    @property
-    def stamp_ns(self) -> int | None:
-        """Stamp of the last usable state in [ns]; None before the first one."""
-        return self._clock.stamp_ns
 
     @property
     def has_motion(self) -> bool:

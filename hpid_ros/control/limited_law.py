@@ -3,32 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from hpid_ros.control.assembly import make_anti_windup, make_law, make_motion_limits
 from hpid_ros.control.homogeneous_pid import Terms
 from hpid_ros.control.limits import MotionLimits
-from hpid_ros.control.overrides import DampingStop, Relay
+from hpid_ros.control.model import ModelTerm
+from hpid_ros.control.overrides import Relay
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.control.velocity import VelocitySource
-
-
-class ModelTerm(NamedTuple):
-    r"""One sample of a model, as one joint's loop needs it.
-
-    The loop's effort, before the limits, is
-
-    .. math:: \tau = g\,(u + a) + \tau_m
-
-    with the law's output u, the reference's acceleration a (0 unless asked for), the gain g and
-    the model's own effort :math:`\tau_m`. The law's gains, its integral and ``i_clamp`` are in
-    the units of u: efforts where g is 1, accelerations where it is an inertia.
-    """
-
-    gain: float  # [kg m^2] g > 0: an inertia where u is an acceleration; 1 where it is an effort
-    effort: float  # [N m] the model's own effort
-    # whether the reference's acceleration is added to the law's output
-    follows_acceleration: bool = False
 
 
 class LimitedLaw:
@@ -37,25 +18,27 @@ class LimitedLaw:
     __slots__ = (
         "_anti_windup",
         "_clamp",
-        "_damping",
         "_feedforward",
-        "_gain",
         "_has_integral",
         "_integral_clamp",
         "_is_external",
         "_law",
-        "_model_effort",
         "_model_offset",
         "effort",
+        "gain",
         "is_saturated",
         "limits",
+        "model_effort",
         "relay",
     )
 
     effort: float  # [N m] the active effort
+    gain: float  # what the model multiplied the law's last output by; 1 without a model
+    model_effort: float  # [N m] what the model added in the last sample, before the limits
+    is_saturated: bool  # whether the effort of the last sample was limited
 
     def __init__(self, settings: LoopSettings) -> None:
-        self.is_saturated = False  # whether the effort of the last sample was limited
+        self.is_saturated = False
         self.relay: Relay | None = None
         self._law = make_law(settings)
         self._adopt(settings, make_motion_limits(settings))
@@ -66,24 +49,19 @@ class LimitedLaw:
         effort, integral = settings.effort, settings.integral
         self._clamp = effort.u_clamp_min, effort.u_clamp_max
         self._integral_clamp = integral.i_clamp_min, integral.i_clamp_max
-        self._damping, self._has_integral = settings.gains.d, settings.gains.i > 0.0
+        self._has_integral = settings.gains.i > 0.0
         self._anti_windup, self.limits = make_anti_windup(settings), limits
 
     @property
     def terms(self) -> Terms:
         """The law's terms of the last sample in [N m], before the limits."""
-        terms, gain = self._law.terms, self._gain
+        terms, gain = self._law.terms, self.gain
         return Terms(gain * terms.p, gain * terms.i, gain * terms.d)
-
-    @property
-    def model_effort(self) -> float:
-        """What the model added in the last sample, in [N m], before the limits."""
-        return self._model_effort
 
     @property
     def integral(self) -> float:
         """The integral term that the next sample uses, in [N m]."""
-        return self._gain * self._law.integral
+        return self.gain * self._law.integral
 
     @property
     def raw_integral(self) -> float:
@@ -108,21 +86,16 @@ class LimitedLaw:
         self.override_effort(effort)
 
     @property
-    def gain(self) -> float:
-        """What the last sample's model multiplied the law's output by; 1 without a model."""
-        return self._gain
-
-    @property
     def driving_effort(self) -> float:
         """The active effort without the model's own, in the law's units."""
-        return (self.effort - self._model_offset) / self._gain
+        return (self.effort - self._model_offset) / self.gain
 
     def absorb_model_effort(self, effort: float) -> None:
         """Let the integral term give what a model's effort has given until now."""
         least, most = self._integral_clamp
-        integral = self._law.integral + effort / self._gain
+        integral = self._law.integral + effort / self.gain
         self._law.restore_integral(min(max(integral, least), most))
-        self._model_effort -= effort
+        self.model_effort -= effort
         self._model_offset -= effort
 
     def absorb_added_effort(self, effort: float) -> float:
@@ -130,9 +103,9 @@ class LimitedLaw:
         before = self._law.integral
         if self._has_integral:
             least, most = self._integral_clamp
-            wanted = before - effort / self._gain
+            wanted = before - effort / self.gain
             self._law.restore_integral(min(max(wanted, min(least, before)), max(most, before)))
-        return effort + self._gain * (self._law.integral - before)
+        return effort + self.gain * (self._law.integral - before)
 
     def override_effort(self, effort: float) -> None:
         """Note an effort that was given, but not computed by the law."""
@@ -142,14 +115,15 @@ class LimitedLaw:
         """Forget the integral, and be without effort."""
         self._law.reset()
         self.override_effort(0.0)
-        self._gain, self._model_effort, self._model_offset, self._feedforward = 1.0, 0.0, 0.0, 0.0
+        self.gain = 1.0
+        self.model_effort = self._model_offset = self._feedforward = 0.0
 
     def restart(
         self,
+        *,
         model: ModelTerm | None,
         acceleration: float,
-        feedforward: float = 0.0,
-        *,
+        feedforward: float,
         keeps_damping: bool,
     ) -> None:
         """Start again with the active effort, by choice of the integral."""
@@ -157,7 +131,7 @@ class LimitedLaw:
         integral = self.effort
         if keeps_damping and not self._is_external:
             terms = self.terms
-            rest = terms.p + terms.i + self._model_effort + self._feedforward
+            rest = terms.p + terms.i + self.model_effort + self._feedforward
             integral = min(max(rest, least), most)
         integral -= feedforward
         if model is not None:
@@ -172,15 +146,15 @@ class LimitedLaw:
         self,
         error: float,
         error_rate: float,
-        position: float,
-        velocity: float,
         dt: float,
         *,
-        model: ModelTerm | None = None,
-        acceleration: float = 0.0,
-        feedforward: float = 0.0,
+        position: float,
+        velocity: float,
+        model: ModelTerm | None,
+        acceleration: float,
+        feedforward: float,
     ) -> float:
-        """Take one sample; acceleration is the reference's, feedforward an effort to add."""
+        """Take one sample: position and velocity for the limits, the rest for the effort."""
         law = self._law
         before = law.integral
         gain = 1.0
@@ -189,11 +163,11 @@ class LimitedLaw:
         except OverflowError:  # a power of an absurd but finite error
             wanted = math.inf
         if model is not None:
-            self._gain = gain = model.gain
+            self.gain = gain = model.gain
             self._model_offset = added = model.effort
             if model.follows_acceleration:
                 added += gain * acceleration
-            self._model_effort = added
+            self.model_effort = added
             wanted = gain * wanted + added
         self._feedforward = feedforward
         if feedforward:
@@ -220,22 +194,3 @@ class LimitedLaw:
         law.restore_integral(min(max(integral, least), most))
         self.effort, self._is_external = effort, False
         return effort
-
-    def damping_stop(
-        self,
-        velocity: VelocitySource,
-        uses_velocity: bool,
-        stamp_ns: int | None,
-        duration: float,
-    ) -> DampingStop:
-        """Return what damps the joint from now on in this law's place."""
-        return DampingStop(
-            damping=self._gain * self._damping,
-            velocity=velocity,
-            uses_velocity=uses_velocity,
-            limits=self.limits,
-            clamp=self._clamp,
-            effort=self.effort,
-            stamp_ns=stamp_ns or 0,
-            duration=duration,
-        )

@@ -1,27 +1,4 @@
-r"""Overrides of the law: a damping stop, and a relay test in place of the p and d terms.
-
-The damping stop answers states in the loop's place while a joint is left; the relay test is part
-of the law's sum. A joint with little friction is a double integrator, which no relay on the error
-alone makes oscillate as it should: the cycle grows. So the relay acts on
-
-.. math:: s = \epsilon + T \dot\epsilon, \qquad T = k_d / k_p
-
-with hysteresis: it pushes one way until s has passed the hysteresis on the other side. The lead T
-damps, and the hysteresis sets the cycle's size.
-
-The law stays beside it. Its integral goes on to carry the load, and stands still; its p and d
-terms make room for the relay gradually, and come back as gradually:
-
-.. math:: u = I + (1 - w)(P + D) + w\,a\,\sigma, \qquad \dot I = (1 - w)\,k_i \epsilon
-
-with the amplitude a, the relay's side :math:`\sigma = \pm 1`, and a weight w that rises from 0 to
-1 and falls again, each within :data:`RAMP`. So there is no jump at the start and none at the end,
-and between two samples a switch changes the effort by at most :math:`2 w a`. All limits act on u
-after that.
-
-Source: K. J. Astrom and T. Hagglund, "Automatic tuning of simple regulators with specifications on
-phase and amplitude margins", Automatica 20 (1984) 645-651.
-"""
+"""Overrides of the law: a damping stop in its place, and a relay test around it."""
 
 from __future__ import annotations
 
@@ -38,50 +15,44 @@ from hpid_ros.control.settings import EffortLimits
 from hpid_ros.control.velocity import VelocitySource
 
 
+@dataclass(kw_only=True)
 class DampingStop:
     """Answers states with ``-damping velocity``, fading to nothing over a duration."""
 
-    def __init__(
-        self,
-        *,
-        damping: float,  # [N m s/rad]
-        velocity: VelocitySource,
-        uses_velocity: bool,  # whether the measured velocity of a state is used
-        limits: MotionLimits | None,
-        clamp: tuple[float, float],  # [N m] effort limits where there are no others
-        effort: float,  # [N m] the active one
-        stamp_ns: int,
-        duration: float,  # [s]
-    ) -> None:
-        self._damping, self._velocity, self._limits = damping, velocity, limits
-        self._uses_velocity = uses_velocity
-        self._clamp = clamp
-        self._effort = effort
-        self._begin_ns = self._stamp_ns = stamp_ns
-        self._duration = duration
+    damping: float  # [N m s/rad]
+    velocity: VelocitySource
+    uses_velocity: bool  # whether it looks at measured velocities
+    limits: MotionLimits | None
+    clamp: EffortLimits  # where there are no motion limits
+    effort: float  # [N m] the active effort
+    stamp_ns: int  # of the last state
+    duration: float  # [s]
+
+    def __post_init__(self) -> None:
+        self._begin_ns = self.stamp_ns
 
     def step(self, stamp_ns: int, position: float, velocity: float | None = None) -> float:
         """Take one state and return the effort that answers it in [N m]; see ``JointLoop.step``.
 
         A state that cannot be used, or that is not later than the last one, gets none.
         """
-        if not self._uses_velocity:
+        if not self.uses_velocity:
             velocity = None
-        dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
+        dt = (stamp_ns - self.stamp_ns) * SECONDS_PER_NANOSECOND
         numbers = (position, 0.0 if velocity is None else velocity)
         if dt <= 0.0 or not all(-LARGEST_POSITION <= each <= LARGEST_POSITION for each in numbers):
-            self._effort = 0.0
+            self.effort = 0.0
             return 0.0
-        self._stamp_ns = stamp_ns
-        rate = self._velocity.update(position, velocity, dt)
-        passed = (stamp_ns - self._begin_ns) * SECONDS_PER_NANOSECOND / self._duration
-        wanted = -self._damping * rate * max(0.0, 1.0 - passed)
-        if self._limits is None:
-            effort = min(max(wanted, self._clamp[0]), self._clamp[1])
+        self.stamp_ns = stamp_ns
+        rate = self.velocity.update(position, velocity, dt)
+        passed = (stamp_ns - self._begin_ns) * SECONDS_PER_NANOSECOND / self.duration
+        wanted = -self.damping * rate * max(0.0, 1.0 - passed)
+        if self.limits is None:
+            effort = self.clamp.within(wanted)
         else:
-            effort = self._limits.limit(wanted, position, rate, self._effort, dt)
-        self._effort = effort if passed < 1.0 else 0.0
-        return self._effort
+            effort = self.limits.limit(wanted, position, rate, self.effort, dt)
+        self.effort = effort if passed < 1.0 else 0.0
+        return self.effort
 
 
 RAMP = 0.3
@@ -150,7 +121,29 @@ def relay_obstacle(
 
 
 class Relay:
-    """One relay, from its start until it has given back."""
+    r"""One relay, from its start until it has given back.
+
+    A joint with little friction is a double integrator, which no relay on the error alone makes
+    oscillate as it should: the cycle grows. So the relay acts on
+
+    .. math:: s = \epsilon + T \dot\epsilon, \qquad T = k_d / k_p
+
+    with hysteresis: it pushes one way until s has passed the hysteresis on the other side. The
+    lead T damps, and the hysteresis sets the cycle's size.
+
+    The law stays beside it. Its integral goes on to carry the load, and stands still; its p and d
+    terms make room for the relay gradually, and come back as gradually:
+
+    .. math:: u = I + (1 - w)(P + D) + w\,a\,\sigma, \qquad \dot I = (1 - w)\,k_i \epsilon
+
+    with the amplitude a, the relay's side :math:`\sigma = \pm 1`, and a weight w that rises from 0
+    to 1 and falls again, each within :data:`RAMP`. So there is no jump at the start and none at
+    the end, and between two samples a switch changes the effort by at most :math:`2 w a`. All
+    limits act on u after that.
+
+    Source: K. J. Astrom and T. Hagglund, "Automatic tuning of simple regulators with
+    specifications on phase and amplitude margins", Automatica 20 (1984) 645-651.
+    """
 
     __slots__ = (
         *("_lead", "_request", "_side", "_since_switch", "_time", "_weight"),

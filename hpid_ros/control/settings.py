@@ -24,6 +24,7 @@ from hpid_ros.base.records import (
 )
 from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
 from hpid_ros.control.limits import AntiWindupStrategy
+from hpid_ros.control.model import ModelSettings
 from hpid_ros.control.norms import (
     NormFamily,
     NormType,
@@ -45,9 +46,6 @@ VelocitySourceName = Literal["measured", "filtered", "homogeneous_differentiator
 StateClock = Literal["wall", "simulated"]
 """What stamps the states; a simulated clock can be paused."""
 
-Compensation = Literal["none", "gravity", "decoupling"]
-"""What of a model of the robot a loop's effort takes into account."""
-
 LARGEST_EFFORT = 1e6
 LARGEST_NORM = 1e6
 LARGEST_MOTION = 1e6
@@ -61,6 +59,15 @@ Value = str | float | bool
 
 def _signed(meaning: str, unit: str = "", *, default: float, largest: float) -> Any:
     return quantity(meaning, unit, default=default, least=-largest, most=largest)
+
+
+def _up_to(most: float, meaning: str, unit: str = "", *, default: float = 0.0, **how: Any) -> Any:
+    return quantity(meaning, unit, default=default, least=0.0, most=most, **how)
+
+
+def _require_order(name: str, low: float, high: float) -> None:
+    if not low <= high:
+        raise SettingError(f"{name}_min = {low} must not exceed {name}_max = {high}")
 
 
 _LEAST_PERIODS = 1.5  # of control_period in state_timeout: one state may be late
@@ -81,12 +88,10 @@ class NormSettings(Record, prefix="norm."):
     rate_weight: float = quantity(
         "Weight of the error rate in the norm", "s/rad", default=0.1, least=1e-6, most=1e6
     )
-    effort_scale: float = quantity(
+    effort_scale: float = _up_to(
+        LARGEST_EFFORT,
         "u0 [N m]: the norm is 1 where the PID's p e or d de is u0, that is error_scale = "
         "u0/p and rate_weight = d/u0, which are not given then; 0 is off",
-        default=0.0,
-        least=0.0,
-        most=LARGEST_EFFORT,
     )
     floor: float = quantity(
         "Least value of the norm; 0 is the paper's law exactly, -1 computes it from "
@@ -134,11 +139,9 @@ class EffortLimits(Record):
     u_clamp_min: float = _signed(
         "Lower effort limit", "N m", default=-LARGEST_EFFORT, largest=LARGEST_EFFORT
     )
-    effort_rate_max: float = quantity(
+    effort_rate_max: float = _up_to(
+        1e9,
         "Largest change of the effort [N m/s]; 0 is none. Faults go to fallback_effort at once",
-        default=0.0,
-        least=0.0,
-        most=1e9,
     )
     fallback_effort: float = _signed(
         "Effort while there is no usable state [N m], within the effort limits",
@@ -174,11 +177,8 @@ class IntegralLimits(Record):
         "What the integral does while the effort is limited, as in control_toolbox",
         default="conditional_integration",
     )
-    tracking_time_constant: float = quantity(
-        "Of back_calculation [s]; 0 chooses sqrt(gains.d / gains.i)",
-        default=0.0,
-        least=0.0,
-        most=1000.0,
+    tracking_time_constant: float = _up_to(
+        1000.0, "Of back_calculation [s]; 0 chooses sqrt(gains.d / gains.i)"
     )
 
     def __post_init__(self) -> None:
@@ -197,12 +197,11 @@ class VelocitySettings(Record):
         default="measured",
         key="velocity_source",
     )
-    filter_time_constant: float = quantity(
+    filter_time_constant: float = _up_to(
+        10.0,
         "Of the first-order velocity filter",
         "s",
         default=0.005,
-        least=0.0,
-        most=10.0,
         key="velocity_filter_time_constant",
     )
     acceleration_bound: float = quantity(
@@ -230,12 +229,7 @@ class VelocitySettings(Record):
 class ObserverSettings(Record, prefix="observer."):
     """The observer, where the velocity comes from one."""
 
-    bandwidth: float = quantity(
-        "Of the observer [1/s]; 0 chooses 4 gains.d / inertia",
-        default=0.0,
-        least=0.0,
-        most=10000.0,
-    )
+    bandwidth: float = _up_to(1e4, "Of the observer [1/s]; 0 chooses 4 gains.d / inertia")
     degree: float = quantity(
         "Homogeneity degree of the observer: 0 is linear, negative is tighter at small "
         "innovations, positive calmer",
@@ -244,12 +238,10 @@ class ObserverSettings(Record, prefix="observer."):
         most=LARGEST_DEGREE,
         slider=(LEAST_DEGREE, LARGEST_DEGREE),
     )
-    innovation_scale: float = quantity(
+    innovation_scale: float = _up_to(
+        1000.0,
         "Innovation at which the degree leaves the bandwidth as it is [rad]; 0 chooses "
         "encoder_resolution, or 0.001 where that is unknown",
-        default=0.0,
-        least=0.0,
-        most=1000.0,
     )
     feed_disturbance: bool = quantity(
         "Add the effort against the disturbance that the observer estimates", default=False
@@ -307,20 +299,14 @@ class EncoderSettings(Record):
         most=1000.0,
         key="encoder_wrap",
     )
-    resolution: float = quantity(
-        "Step of the measured position [rad]; 0 if unknown",
-        default=0.0,
-        least=0.0,
-        most=1.0,
-        key="encoder_resolution",
+    resolution: float = _up_to(
+        1.0, "Step of the measured position [rad]; 0 if unknown", key="encoder_resolution"
     )
-    step_max: float = quantity(
+    step_max: float = _up_to(
+        LARGEST_MOTION,
         "A position that differs from the last one by more than this [rad], and twice "
         "velocity_max times the time between, is a fault; 0 chooses 0.1, or pi where there is"
         " no velocity_max; 1e6 is none",
-        default=0.0,
-        least=0.0,
-        most=LARGEST_MOTION,
         key="position_step_max",
     )
 
@@ -343,18 +329,13 @@ class SoftStop(Record, prefix="soft_stop."):
         least=1e-6,
         most=10.0,
     )
-    k_position: float = quantity(
+    k_position: float = _up_to(
+        1e6,
         "Velocity allowed towards a stop for each rad of distance [1/s]; 0 chooses 0.75 "
         "gains.p / gains.d",
-        default=0.0,
-        least=0.0,
-        most=1e6,
     )
-    k_velocity: float = quantity(
-        "Braking for each rad/s beyond the velocity allowed [N m s/rad]; 0 chooses gains.d",
-        default=0.0,
-        least=0.0,
-        most=1e6,
+    k_velocity: float = _up_to(
+        1e6, "Braking for each rad/s beyond the velocity allowed [N m s/rad]; 0 chooses gains.d"
     )
 
 
@@ -440,12 +421,11 @@ class Timing(Record):
         "What stamps the states: wall, or simulated, which can be paused without a takeover",
         default="wall",
     )
-    takeover_time: float = quantity(
+    takeover_time: float = _up_to(
+        100.0,
         "The reference glides for so long from where the joint is onto a motion that is under"
         " way [s]; 0 jumps",
         default=0.5,
-        least=0.0,
-        most=100.0,
     )
 
     def __post_init__(self) -> None:
@@ -460,83 +440,6 @@ class Timing(Record):
     def is_simulated(self) -> bool:
         """Whether the control clock is a simulation's, which can be paused."""
         return self.state_clock == "simulated"
-
-
-def _require_order(name: str, low: float, high: float) -> None:
-    if not low <= high:
-        raise SettingError(f"{name}_min = {low} must not exceed {name}_max = {high}")
-
-
-@dataclass(frozen=True)
-class ModelSettings(Record, prefix="model."):
-    """The model that a loop's effort takes into account; see :data:`.MODEL_PARAMETERS`."""
-
-    compensation: Compensation = quantity(
-        "Model-based term: none, gravity, or decoupling, with which gains and i_clamp are "
-        "those of a unit double integrator (per kg m^2)",
-        default="none",
-        key="compensation",
-    )
-    description: str = quantity(
-        "URDF of the model, XML text or path, where it is not robot_description", default=""
-    )
-    payload: float = quantity(
-        "Payload that the model carries", "kg", default=0.0, least=0.0, most=10000.0
-    )
-    payload_link: str = quantity("Link that carries the model's payload", default="payload")
-    mass_scale: float = quantity(
-        "Factor on the mass and inertia of every link of the model, rotors not",
-        default=1.0,
-        least=0.001,
-        most=1000.0,
-    )
-    locked_joints: str = quantity(
-        "Joints that joint_states do not have, separated by commas: the model holds them at 0",
-        default="",
-    )
-    left_wheel: str = quantity(
-        "Joint of the left wheel of a rolling base; empty for a fixed base", default=""
-    )
-    right_wheel: str = quantity("Joint of its right wheel; empty for a fixed base", default="")
-    wheel_radius: float = quantity(
-        "Of both wheels [m]; 0 is that of the URDF", default=0.0, least=0.0, most=1e6
-    )
-    wheel_separation: float = quantity(
-        "Distance of the wheels' contact points [m]; 0 is that of the URDF",
-        default=0.0,
-        least=0.0,
-        most=1e6,
-    )
-    effort_filter_time_constant: float = quantity(
-        "Of the low-pass on the measured efforts of the other joints [s]; 0 is none, -1 "
-        "chooses it from the model",
-        default=-1.0,
-        least=-1.0,
-        most=10.0,
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if bool(self.left_wheel) != bool(self.right_wheel):
-            raise SettingError(
-                f"a rolling base needs model.left_wheel and model.right_wheel, "
-                f"not {self.left_wheel!r} and {self.right_wheel!r}"
-            )
-
-    @property
-    def is_on(self) -> bool:
-        """Whether there is a model."""
-        return self.compensation != "none"
-
-    @property
-    def is_decoupling(self) -> bool:
-        """Whether the law acts on a unit double integrator."""
-        return self.compensation == "decoupling"
-
-    @property
-    def locked(self) -> tuple[str, ...]:
-        """The names of the locked joints."""
-        return tuple(name.strip() for name in self.locked_joints.split(",") if name.strip())
 
 
 @dataclass(frozen=True)
@@ -583,12 +486,10 @@ class LoopSettings(Record):
         "integral (needs inertia)",
         default="explicit",
     )
-    inertia: float = quantity(
+    inertia: float = _up_to(
+        1e6,
         "What one unit of effort accelerates at this joint [kg m^2]; 0 if unknown. When "
         "known, gains whose linear loop is unstable are refused",
-        default=0.0,
-        least=0.0,
-        most=1e6,
     )
     effort: EffortLimits = group(EffortLimits)
     integral: IntegralLimits = group(IntegralLimits)

@@ -17,7 +17,8 @@ from hpid_ros.base.records import Section
 from hpid_ros.base.schema import field_schema, partial_schema
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import EXTENDS, Document, load_document, parse_yaml
-from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings, ModelSettings
+from hpid_ros.control.model import ModelSettings
+from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings
 from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.motion.references import BrickPlan, planned_reference, task_schema
 from hpid_ros.robot.compensation import robot_xml, with_inertia

@@ -27,9 +27,9 @@ from hpid_ros.base.files import find_resource
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.control.assembly import make_velocity_source
 from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.limited_law import ModelTerm
+from hpid_ros.control.model import ModelSettings, ModelTerm
 from hpid_ros.control.reference import LARGEST_POSITION
-from hpid_ros.control.settings import LoopSettings, ModelSettings
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import Unwrapper
 from hpid_ros.robot.coupling import Coupling, JointSpace, Settling, coupling
 from hpid_ros.robot.description import RobotDescription

@@ -13,7 +13,7 @@ from hpid_ros.base.names import ALLOW_RELAY, node_sections
 from hpid_ros.base.yaml_files import load_yaml, parse_yaml
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.limited_law import ModelTerm
+from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings

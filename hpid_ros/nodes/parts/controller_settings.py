@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.limited_law import ModelTerm
+from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.settings import (
     LOOP_PARAMETERS,
     MODEL_PARAMETERS,

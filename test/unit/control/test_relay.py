@@ -97,8 +97,8 @@ def test_limits_hold_while_a_relay_is_active():
         (lambda loop: loop.note_timeout(), "no state came", True),
         (lambda loop: loop.note_unanswered(), "no state came", True),
         (lambda loop: loop.supersede(0.0), "another effort", True),
-        (lambda loop: loop.reset(), "began anew", True),
-        (lambda loop: loop.release(), "began anew", True),
+        (lambda loop: loop.reset(), "began again", True),
+        (lambda loop: loop.release(), "began again", True),
     ],
 )
 def test_whatever_comes_in_between_ends_a_relay(act, reason, is_at_once):
@@ -124,7 +124,7 @@ def test_a_gap_ends_a_relay_and_the_takeover_has_no_jump():
     joint.stamp_ns += 500_000_000
     joint.velocity = 0.0
     assert joint.step() == pytest.approx(before, abs=1e-9)
-    assert joint.loop.relay.ending == "the joint was taken over anew"
+    assert joint.loop.relay.ending == "the joint was taken over again"
     joint.run(3.0)
     assert joint.velocity == pytest.approx(0.0, abs=1e-2)
 

@@ -20,13 +20,13 @@ from hpid_ros.control.assembly import (
     make_velocity_source,
 )
 from hpid_ros.control.homogeneous_pid import SemiImplicitHomogeneousPid
+from hpid_ros.control.model import ModelSettings
 from hpid_ros.control.settings import (
     MODEL_PARAMETERS,
     PARAMETERS,
     EffortLimits,
     FeedforwardSettings,
     IntegralLimits,
-    ModelSettings,
     MotionSettings,
     NormSettings,
     ObserverSettings,

@@ -15,7 +15,7 @@ from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.assembly import soft_stop_gains
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.joint_loop import LoopState
-from hpid_ros.control.limited_law import ModelTerm
+from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.experiment.batch import TOTAL, RunTask, WorldKeeper, simulated
 from hpid_ros.experiment.description import load_experiment
