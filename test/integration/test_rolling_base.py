@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from harness.places import URDF
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +19,7 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.messages import read_planar, read_vectors
 from hpid_ros.messages.run import read_run
-from hpid_ros.metrics.task import PoseErrors, base_figures, relative
+from hpid_ros.metrics.task import PoseErrors, base_figures
 from hpid_ros.robot.differential_drive import DifferentialDrive, PlanarPose, integrated
 from hpid_ros.simulation.reports import BaseMonitor, Reports, ReportTimes, SlipMeter, planar
 from hpid_ros.simulation.settings import WorldSettings
@@ -110,19 +109,6 @@ def test_on_slippery_ground_odometry_departs_from_the_truth_and_the_result_says_
     assert "odometry ends" in note
 
 
-def test_slip_accounts_for_where_odometry_went_wrong(drive, tmp_path):
-    """Straight on slippery ground: what the wheels rolled too far is what they slid."""
-    path = {"times": [0.0, 1.0], "poses": [[0, 0, 0], [0.5, 0, 0]]}
-    base = drive(path, friction=0.1).base["PID"]
-    odometry = relative(read_planar(tmp_path / "bag", "odom").poses)
-    truth = relative(read_planar(tmp_path / "bag", "base_pose_ground_truth").poses)
-    ahead = odometry[:, 0] - truth[:, 0]
-    slid_at_least = np.abs(np.diff(ahead)).sum()  # there and back, between two reports
-    assert slid_at_least > 0.05
-    assert slid_at_least < base.slip_left * 1.001
-    assert base.slip_left < slid_at_least + 0.01
-
-
 def test_result_and_bag_hold_the_base(experiment_file, tmp_path):
     experiment = load_experiment(experiment_file(duration=0.31))
     bags = {label: tmp_path / label for label in experiment.controllers}
@@ -163,17 +149,6 @@ def test_odometry_is_what_the_encoders_said(experiment_file, tmp_path):
     away, count = np.abs(odom.poses - truth.poses), DRIVE.radius * math.tau / 512
     assert 1e-5 < away[:, :2].max() < count
     assert away[:, 2].max() < 2.0 * count / DRIVE.separation
-
-
-def test_a_robot_without_a_base_has_no_such_section(experiment_file, tmp_path):
-    document = yaml.safe_load(experiment_file().read_text())
-    del document["robot"]["base"]
-    path = tmp_path / "without.yaml"
-    path.write_text(yaml.safe_dump(document))
-    experiment = load_experiment(path)
-    assert experiment.world.base is None
-    run_without_ros(experiment, "PID", tmp_path / "bag", NoProgress())
-    assert "base" not in compute(experiment, {"PID": tmp_path / "bag"}).as_mapping()
 
 
 @pytest.mark.parametrize(

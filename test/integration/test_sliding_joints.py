@@ -118,7 +118,9 @@ def test_every_format_names_both_units_and_which_joints_slide(run, result):
     latex = FORMATS["latex"](Comparison(runs))
     for text in (r"IVC [N\,m, N]", r"ITAE [rad\,s$^2$, m\,s$^2$]", NOTE):
         assert text in latex
-    found = json.loads((result / "result.json").read_text())["indices"]["runs"]["hPID"]
+    document = json.loads((result / "result.json").read_text())
+    assert "base" not in document  # the robot has none
+    found = document["indices"]["runs"]["hPID"]
     assert (found["slides"], found["units"]["ivc"]) == (["lift"], "N m, N")
     chatter = [found["joint_units"][joint]["chatter"] for joint in ("lift", "turn")]
     assert chatter == ["N", "N m"]

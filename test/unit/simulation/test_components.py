@@ -63,17 +63,6 @@ def test_a_bare_bridge_brakes_with_the_back_emf(motor: Motor, part: float, speed
     assert given_torque == pytest.approx(wanted - braking, abs=1e-9 * stall_torque(motor))
 
 
-@given(motor=MOTORS, part=PARTS, speed=PARTS)
-def test_electrical_power_is_mechanical_power_and_heat(motor: Motor, part: float, speed: float):
-    omega = speed * no_load_speed(motor)
-    torque = motor.torque(part, omega)
-    current = torque / motor.torque_constant
-    scale = stall_torque(motor) * no_load_speed(motor)
-    assert part * motor.supply_voltage * current == pytest.approx(
-        torque * omega + motor.resistance * current**2, abs=1e-9 * scale
-    )
-
-
 @given(motor=MOTORS, torque=st.floats(0.01, 10.0), speed=st.floats(0.01, 10.0))
 def test_a_gear_loses_its_part_in_both_directions_of_power(
     motor: Motor, torque: float, speed: float

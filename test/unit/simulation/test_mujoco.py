@@ -95,17 +95,6 @@ def test_the_robot_sinks_into_its_tyres_by_its_weight_over_their_stiffness():
         assert height == pytest.approx(-mass * 9.81 / stiffness, rel=1e-3)
 
 
-def test_a_tyre_rolls_on_its_own_radius():
-    with World(replace(SETTINGS, joints=WHEELS)) as world:
-        for _ in range(600):
-            world.step([0.8, 0.8])
-        distance = world.base_pose().position[0]
-        turned = np.mean(world.true_positions())
-    assert distance > 0.05
-    # What slips under the drive is of some micrometres.
-    assert distance == pytest.approx(0.075 * turned, rel=1e-3)
-
-
 def test_a_robot_without_friction_at_its_balls_slides_on_them():
     """Their contacts have no friction at all, although the ground has."""
     model = build_model(replace(SETTINGS, fixed_base=False), ROBOT).model

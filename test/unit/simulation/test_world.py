@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pinocchio
@@ -185,31 +184,6 @@ def test_friction_brings_a_wheel_to_rest_as_coulomb_and_viscous_friction_do():
     assert all(late <= early + 1e-9 for early, late in pairwise(speeds))
     assert sum(speed > 1e-6 for speed in speeds) * PERIOD == pytest.approx(stop, rel=0.02)
     assert max(map(abs, speeds[-100:])) < 1e-6
-
-
-def test_without_gravity_and_friction_energy_is_kept_and_friction_takes_it_away():
-    description = RobotDescription.load(frictionless(damping=False))
-    dynamics = Dynamics(description)
-
-    def energies(urdf: str | Path) -> tuple[float, float]:
-        with World(settings(robot_description=urdf, fixed_base=True, gravity=0.0)) as world:
-
-            def energy() -> float:
-                pose = dict(zip(JOINTS, world.true_positions(), strict=True))
-                velocity = np.array(world.true_velocities())
-                return 0.5 * velocity @ dynamics.mass_matrix(JOINTS, pose) @ velocity
-
-            for _ in range(60):
-                world.step([2.0, -2.0, 4.0, 5.0, -3.0, 1.0, 1.0, 0.4])
-            before = energy()
-            for _ in range(200):
-                world.step([0.0] * 8)
-            return before, energy()
-
-    before, after = energies(frictionless(damping=False))
-    assert after == pytest.approx(before, rel=0.02)
-    before, after = energies(URDF)
-    assert after < 0.5 * before
 
 
 def test_an_effort_is_held_to_the_limit_of_the_urdf_and_told_as_applied():
