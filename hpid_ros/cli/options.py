@@ -322,6 +322,14 @@ def _of_robot(
         raise SettingError(f"{options.urdf}: {error}") from None
 
 
+def parameter_file(path: Path) -> ParameterFile:
+    """Read a parameter file of joint controllers."""
+    from hpid_ros.base.yaml_files import load_yaml
+    from hpid_ros.control.controller_files import parameters_from
+
+    return parameters_from(load_yaml(path, SettingError), str(path))
+
+
 def loop_file(path: Path) -> tuple[Experiment | None, ParameterFile]:
     """Read a file of loops: those of an experiment have the names of their controllers."""
     document = load_document(path, SettingError).values

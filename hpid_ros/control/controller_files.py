@@ -1,14 +1,12 @@
-"""Controller settings as they stand in ROS parameter files, experiments and dumps."""
+"""Settings of controllers in the content of ROS parameter files and dumps, read elsewhere."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, node_sections
-from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings
 
 INERTIA_RANGES = "inertia_ranges"
@@ -23,21 +21,11 @@ class ParameterFile(NamedTuple):
     inertias: dict[str, tuple[float, float]]
 
 
-def parameter_file(path: Path) -> ParameterFile:
-    """Read a parameter file."""
-    return parameters_from(load_yaml(path, SettingError), str(path))
-
-
 def parameters_from(document: object, where: str) -> ParameterFile:
     """Return what the content of a parameter file says."""
     return ParameterFile(
         settings_from_parameters(document, where), _inertia_ranges(document, where)
     )
-
-
-def settings_from_parameter_file(path: Path) -> dict[str, LoopSettings]:
-    """Return the settings of every joint controller in a ROS parameter file."""
-    return parameter_file(path).loops
 
 
 def settings_from_parameters(document: object, where: str) -> dict[str, LoopSettings]:

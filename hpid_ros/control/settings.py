@@ -332,10 +332,12 @@ class SoftStop(Record, prefix="soft_stop."):
     k_position: float = _up_to(
         1e6,
         "Velocity allowed towards a stop for each rad of distance [1/s]; 0 chooses 0.75 "
-        "gains.p / gains.d",
+        "gains.p / gains.d (10 where one is 0), with inertia at most k_velocity / (4 inertia)",
     )
     k_velocity: float = _up_to(
-        1e6, "Braking for each rad/s beyond the velocity allowed [N m s/rad]; 0 chooses gains.d"
+        1e6,
+        "Braking for each rad/s beyond the velocity allowed [N m s/rad]; 0 chooses gains.d "
+        "(gains.p / k_position where it is 0), with inertia at most inertia / (2 control_period)",
     )
 
 

@@ -9,7 +9,7 @@ from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import Float64MultiArray
 
 from hpid_ros.cli.main import main
-from hpid_ros.control.controller_files import settings_from_parameter_file
+from hpid_ros.cli.options import parameter_file
 from hpid_ros.live.graph_client import running_graph
 from hpid_ros.live.motion import bounds_of, carry_out_relay, relay_findings
 from hpid_ros.messages.run import read_run
@@ -34,7 +34,7 @@ def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, ca
     said = capsys.readouterr().out
     assert "nothing was set; this does: ros2 param load /turn_controller" in said
     wait_for_rest(harness)
-    (settings,) = settings_from_parameter_file(file).values()
+    (settings,) = parameter_file(file).loops.values()
     assert settings.inertia == pytest.approx(INERTIA, rel=0.05)
     assert settings.law == "hpid"
     effort = read_run(bag, "relay", joints=["turn"]).joints[0].effort

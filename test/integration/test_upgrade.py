@@ -15,10 +15,9 @@ from harness.runs import indices
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
-from hpid_ros.cli.options import inertias_from
+from hpid_ros.cli.options import inertias_from, parameter_file
 from hpid_ros.control import Gains
 from hpid_ros.control.assembly import make_law
-from hpid_ros.control.controller_files import parameter_file, settings_from_parameter_file
 from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics import Comparison
 from hpid_ros.metrics.results import RunIndices
@@ -347,7 +346,7 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
     out, err = capsys.readouterr()
     assert "Predicted, simulated on the model" in out
     assert "simulating the PID and the proposal" in err
-    before, after = map(settings_from_parameter_file, (parameters, file))
+    before, after = (parameter_file(each).loops for each in (parameters, file))
     assert list(before) == list(after)
     for name, settings in after.items():
         assert settings.law == "hpid"
@@ -359,4 +358,4 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
         force = ["--force"] if own is parameters else []
         assert main([*command[:-1], str(own), *force]) == BAD_INPUT
         assert words in capsys.readouterr().err.splitlines()[-1]
-    assert list(map(settings_from_parameter_file, (parameters, file))) == [before, after]
+    assert [parameter_file(each).loops for each in (parameters, file)] == [before, after]

@@ -10,7 +10,7 @@ from harness.bags import MS, command, odometry, ramp, state, trajectory, write_b
 
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.main import main
-from hpid_ros.control.controller_files import settings_from_parameter_file
+from hpid_ros.cli.options import parameter_file
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.storage import PARAMETERS, missed_entries
@@ -86,7 +86,7 @@ def upgrade(*arguments, out):
 @pytest.fixture(scope="module")
 def after(upgraded):
     """Return the recording of the same robot under what was proposed."""
-    loops = settings_from_parameter_file(upgraded / "upgrade.yaml").values()
+    loops = parameter_file(upgraded / "upgrade.yaml").loops.values()
     proposed = {each.joint: dict(each.to_parameters()) for each in loops}
     for parameters in proposed.values():
         parameters.pop("joint")
@@ -97,9 +97,7 @@ def after(upgraded):
 
 def test_one_command_gives_parameters_a_page_and_a_prediction(upgraded):
     place = upgraded
-    found = {
-        each.joint: each for each in settings_from_parameter_file(place / "upgrade.yaml").values()
-    }
+    found = {each.joint: each for each in parameter_file(place / "upgrade.yaml").loops.values()}
     assert list(found) == list(GAINS)
     for name, settings in found.items():
         assert vars(settings.gains) == GAINS[name]

@@ -23,11 +23,11 @@ from hpid_ros.cli.options import (
     inertias_from,
     joint_progress,
     load_robot,
+    parameter_file,
     sliding_joints,
     write_output,
 )
 from hpid_ros.cli.terminal import output_console
-from hpid_ros.control.controller_files import parameter_file
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries
