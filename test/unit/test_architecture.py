@@ -129,8 +129,6 @@ def is_allowed(name, here):
 def test_the_pure_core_needs_no_library_but_numpy_and_scipy(name):
     clocks = {"time", "datetime", "os", "pathlib", "io", "socket", "threading"}
     for path in modules_of(name):
-        if path.stem == "controller_files":  # reads them
-            continue
         names = set(imports(path))
         tops = {each.split(".")[0] for each in names}
         assert tops - sys.stdlib_module_names <= {"hpid_ros"} | PURE_LIBRARIES, path
