@@ -76,17 +76,32 @@ class VelocitySource(Protocol):
         """Forget the past: the next sample is the first one."""
 
 
-class FilteredVelocity:
+class _LastState:
+    """The position and velocity after the last sample."""
+
+    __slots__ = ("_position", "_velocity")
+
+    _position: float | None
+    _velocity: float
+
+    def start_from(self, position: float, velocity: float) -> None:
+        """Go on from a position in [rad] and a velocity in [rad/s]."""
+        self._position, self._velocity = position, velocity
+
+    def reset(self) -> None:
+        """Forget the past: the next velocity is 0."""
+        self._position = None
+        self._velocity = 0.0
+
+
+class FilteredVelocity(_LastState):
     """Backward difference behind a first-order low-pass filter.
 
     The filter is discretised by backward Euler, hence stable for every period:
     ``v += dt / (tau + dt) ((x - x_before) / dt - v)``.
     """
 
-    __slots__ = ("_position", "_velocity", "time_constant")
-
-    _position: float | None
-    _velocity: float
+    __slots__ = ("time_constant",)
 
     def __init__(self, time_constant: float) -> None:
         if not math.isfinite(time_constant) or time_constant < 0.0:
@@ -104,15 +119,6 @@ class FilteredVelocity:
             self._velocity += dt / (self.time_constant + dt) * (difference - self._velocity)
         self._position = position
         return self._velocity
-
-    def start_from(self, position: float, velocity: float) -> None:
-        """Go on from a position in [rad] and a velocity in [rad/s]."""
-        self._position, self._velocity = position, velocity
-
-    def reset(self) -> None:
-        """Forget the past: the next velocity is 0."""
-        self._position = None
-        self._velocity = 0.0
 
 
 _FEW_ZEROS = 10  # a driver that is quantised, or asked at rest, tells as many
@@ -154,7 +160,7 @@ class MeasuredVelocity:
         self._zeros, self.moved_at_zero = 0, 0.0
 
 
-class HomogeneousDifferentiator:
+class HomogeneousDifferentiator(_LastState):
     r"""Levant's robust exact differentiator: exact for a bounded acceleration, after finite time.
 
     .. math::
@@ -172,10 +178,7 @@ class HomogeneousDifferentiator:
     "Time-discretizations of differentiators", Int. J. Robust Nonlinear Control 31 (2021).
     """
 
-    __slots__ = ("_position", "_velocity", "acceleration_bound")
-
-    _position: float | None
-    _velocity: float
+    __slots__ = ("acceleration_bound",)
 
     _POSITION_GAIN = 1.5
     _VELOCITY_GAIN = 1.1
@@ -210,15 +213,6 @@ class HomogeneousDifferentiator:
             self._velocity -= math.copysign(change, ahead)
             self._position = position + math.copysign(root * root, ahead)
         return self._velocity
-
-    def start_from(self, position: float, velocity: float) -> None:
-        """Go on from a position in [rad] and a velocity in [rad/s]."""
-        self._position, self._velocity = position, velocity
-
-    def reset(self) -> None:
-        """Forget the past: the next velocity is 0."""
-        self._position = None
-        self._velocity = 0.0
 
 
 LEAST_DEGREE, LARGEST_DEGREE = -0.33, 0.5
@@ -270,9 +264,9 @@ class Observer:
         "_acceleration",
         "_coasted",
         "_covariance",
-        "_design",
         "_has_begun",
         "_innovation",
+        "design",
         "disturbance",
         "position",
         "velocity",
@@ -288,33 +282,28 @@ class Observer:
 
     def __init__(self, design: ObserverDesign) -> None:
         _check(design)
-        self._design = design
+        self.design = design
         self._acceleration = 0.0
         self.reset()
 
     @property
-    def design(self) -> ObserverDesign:
-        """What it goes by."""
-        return self._design
-
-    @property
     def effort(self) -> float:
         """The disturbance as an effort on the inertia, in [N m]; positive drives the joint up."""
-        return self._design.inertia * self.disturbance
+        return self.design.inertia * self.disturbance
 
     def retune(self, design: ObserverDesign) -> None:
         """Go by another design from the next sample on; the estimates stay."""
         _check(design)
         # The effort sent gives another acceleration, and the joint moves on as before.
         before = self._acceleration
-        self._acceleration *= self._design.inertia / design.inertia
+        self._acceleration *= self.design.inertia / design.inertia
         self.disturbance += before - self._acceleration
-        self._design = design
+        self.design = design
         self._restart_covariance()
 
     def send(self, effort: float) -> None:
         """Note what acts on the joint from the last sample on."""
-        self._acceleration = effort / self._design.inertia
+        self._acceleration = effort / self.design.inertia
 
     def coast(self, dt: float) -> None:
         """Go on without a measurement, under the effort sent."""
@@ -338,7 +327,7 @@ class Observer:
         self._coasted = 0.0
         innovation = position - self.position
         k_position, k_velocity, k_disturbance = self._gains(innovation, dt)
-        bandwidth = self._design.bandwidth
+        bandwidth = self.design.bandwidth
         self.position += k_position * innovation
         self.velocity += k_velocity * bandwidth * innovation
         self.disturbance += k_disturbance * bandwidth * bandwidth * innovation
@@ -349,8 +338,8 @@ class Observer:
 
         Both are in units of the bandwidth: of position, velocity / w and disturbance / w^2.
         """
-        t = self._design.bandwidth * dt
-        fading = t * self._multiplier(innovation, t) if self._design.degree else t
+        t = self.design.bandwidth * dt
+        fading = t * self._multiplier(innovation, t) if self.design.degree else t
         growth = 1.0 / max(math.exp(-fading), _LEAST_MEMORY)
         xx, xv, xw, vv, vw, ww = self._covariance
         half = 0.5 * t * t
@@ -373,12 +362,12 @@ class Observer:
 
     def _restart_covariance(self) -> None:
         """Begin with what endless sampling at the nominal period ends at."""
-        self._covariance = _stationary(self._design.bandwidth * self._design.period)
+        self._covariance = _stationary(self.design.bandwidth * self.design.period)
 
     def _multiplier(self, innovation: float, t: float) -> float:
         """Return what the degree makes of the bandwidth, by the prefiltered innovation."""
         self._innovation += t / (1.0 + t) * (innovation - self._innovation)
-        _, _, _, degree, scale = self._design
+        _, _, _, degree, scale = self.design
         size = min(max(abs(self._innovation) / scale, 1e-30), 1e30)
         return min(max(float(size**degree), 1.0 / _SPAN), _SPAN)
 

@@ -296,21 +296,6 @@ def test_a_foreign_private_name_is_seen(text):
     assert len(list(foreign_privates(tree, classes(tree)))) == 1
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "class A:\n    def f(self, other):\n        self._x = 1\n        return other._x",
-        "class A:\n    def f(self): self._x = 1\nclass B(A):\n    def f(self): return self._x",
-        "class A:\n    __slots__ = ('_x',)\n    def f(self): return self._x",
-        "point._replace(x=1)",
-        "node.__class__",
-    ],
-)
-def test_an_own_private_name_is_no_foreign_one(text):
-    tree = ast.parse(text)
-    assert list(foreign_privates(tree, classes(tree))) == []
-
-
 @functools.cache
 def bound_by_foreign(base):
     """Return the private names that a class of a library makes."""
