@@ -116,22 +116,13 @@ THRESHOLD = f"within {100.0 * EQUAL_WITHIN:g}%"
 
 
 class Verdict(Enum):
-    """What a ratio says of a cost."""
+    """What a ratio says of a cost, and the paper's five together of a run."""
 
     BETTER = "better"
     WORSE = "worse"
+    MIXED = "mixed"  # better in one number, worse in another
     EQUAL = "unchanged"
     UNKNOWN = "not comparable"
-
-
-class Judgement(Enum):
-    """What the paper's five numbers together say of a run beside the baseline."""
-
-    BETTER = "better"
-    WORSE = "worse"
-    MIXED = "mixed"
-    EQUAL = "unchanged"
-    INCOMPARABLE = "not comparable"
 
 
 @dataclass(frozen=True)
@@ -257,16 +248,13 @@ class Comparison:
                 counts[quantity] = (kinds.count(Verdict.WORSE), known)
         return counts
 
-    def judgement(self, label: str) -> Judgement:
+    def judgement(self, label: str) -> Verdict:
         """Return what the paper's five numbers together say of a run beside the baseline."""
         kinds = set(self.verdicts(label).values())
         if kinds >= {Verdict.BETTER, Verdict.WORSE}:
-            return Judgement.MIXED
-        if Verdict.BETTER in kinds:
-            return Judgement.BETTER
-        if Verdict.WORSE in kinds:
-            return Judgement.WORSE
-        return Judgement.EQUAL if Verdict.EQUAL in kinds else Judgement.INCOMPARABLE
+            return Verdict.MIXED
+        order = (Verdict.BETTER, Verdict.WORSE, Verdict.EQUAL)
+        return next((each for each in order if each in kinds), Verdict.UNKNOWN)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -374,7 +362,7 @@ def _verdict_line(comparison: Comparison, label: str) -> str:
         return f"{head} {judgement.value}: {_why(comparison, label)}."
     verdicts = comparison.verdicts(label)
     parts = []
-    if judgement is Judgement.MIXED:
+    if judgement is Verdict.MIXED:
         head += f" {judgement.value}:"
     for kind in (Verdict.BETTER, Verdict.WORSE, Verdict.EQUAL, Verdict.UNKNOWN):
         symbols = [quantity.symbol for quantity, each in verdicts.items() if each is kind]
@@ -392,7 +380,7 @@ def _worse_joints(comparison: Comparison, label: str, of: str) -> list[str]:
 
 
 def _is_compared(comparison: Comparison, label: str) -> bool:
-    return comparison.judgement(label) is not Judgement.INCOMPARABLE
+    return comparison.judgement(label) is not Verdict.UNKNOWN
 
 
 def _sentences(comparison: Comparison, label: str) -> str:

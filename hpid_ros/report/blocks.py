@@ -12,6 +12,7 @@ from typing import ClassVar, TypeAlias
 from hpid_ros.messages.series import RunSeries
 from hpid_ros.metrics.comparison import THRESHOLD, Comparison, Verdict
 from hpid_ros.metrics.folding import COLUMNS, quality_rows
+from hpid_ros.metrics.measure import Parameters
 from hpid_ros.metrics.quantities import QUANTITIES, Quantity
 from hpid_ros.report.table import (
     MARKS,
@@ -191,10 +192,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-# Settings by parameter name, of each joint, of each run's label.
-Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
 
 
 def index_table(comparison: Comparison) -> IndexTable:

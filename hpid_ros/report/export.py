@@ -264,10 +264,10 @@ def _index_cells(
 ) -> list[str]:
     """Return for each joint the cells of all runs, the lowest of them bold."""
     runs = comparison.runs
-    emphasise = _emphasise if _is_compared(comparison, quantity) else _plainly
+    is_compared = _is_compared(comparison, quantity)
     values = [[run.value(quantity, joint) for run in runs] for joint in joints]
     texts = iter(format_values(value for row in values for value in row))
-    return [" & ".join(emphasise(row, [next(texts) for _ in row])) for row in values]
+    return [" & ".join(_cells(row, [next(texts) for _ in row], is_compared)) for row in values]
 
 
 def _is_compared(comparison: Comparison, quantity: Quantity) -> bool:
@@ -288,8 +288,7 @@ def _norm_lines(comparison: Comparison) -> list[str]:
     for quantity in comparison.norms:
         values = [run.value(quantity) for run in comparison.runs]
         name = f"{_symbol(quantity)} [{_unit(comparison.unit(quantity))}]"
-        emphasise = _emphasise if _is_compared(comparison, quantity) else _plainly
-        cells = emphasise(values, format_values(values))
+        cells = _cells(values, format_values(values), _is_compared(comparison, quantity))
         lines.append(" & ".join([name, *cells]) + r" \\ \hline")
     return [*lines, r"\end{tabular}"]
 
@@ -299,18 +298,16 @@ def _spanning(texts: list[str], runs: tuple[RunIndices, ...]) -> str:
     return " & ".join(cells) + r" \\ \hline"
 
 
-def _emphasise(values: list[float], texts: list[str]) -> list[str]:
-    """Return the texts as LaTeX, in bold where a value is lower than some other one."""
+def _cells(values: list[float], texts: list[str], is_compared: bool) -> list[str]:
+    """Return the texts as LaTeX, in bold where a value is lower than one it is compared with."""
     known = [value for value in values if not math.isnan(value)]
     lowest, highest = min(known, default=0.0), max(known, default=0.0)
     return [
-        rf"\textbf{{{_number(text)}}}" if value == lowest < highest else _number(text)
+        rf"\textbf{{{_number(text)}}}"
+        if is_compared and value == lowest < highest
+        else _number(text)
         for value, text in zip(values, texts, strict=True)
     ]
-
-
-def _plainly(values: list[float], texts: list[str]) -> list[str]:
-    return [_number(text) for text in texts]
 
 
 def _number(text: str) -> str:

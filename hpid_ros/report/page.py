@@ -24,6 +24,7 @@ from markupsafe import Markup, escape
 from hpid_ros.base.text import shown
 from hpid_ros.messages.series import RunSeries, SeriesError
 from hpid_ros.metrics.comparison import Comparison, answer
+from hpid_ros.metrics.measure import Parameters
 from hpid_ros.metrics.quantities import Gains
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.report.blocks import (
@@ -31,7 +32,6 @@ from hpid_ros.report.blocks import (
     Block,
     Heading,
     Paragraph,
-    Parameters,
     Properties,
     data_quality,
     further_tables,

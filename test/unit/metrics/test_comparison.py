@@ -22,7 +22,6 @@ from hpid_ros.messages.series import (
 )
 from hpid_ros.metrics.comparison import (
     Comparison,
-    Judgement,
     Verdict,
     answer,
     common_cuts,
@@ -139,10 +138,10 @@ def test_the_answer_says_what_got_better_and_what_got_worse():
 @pytest.mark.parametrize(
     ("row", "norms", "judgement"),
     [
-        ((50, 120, 10), (0.5, 1.127), Judgement.MIXED),
-        ((50, 60, 9), (1.0, 1.0004), Judgement.BETTER),
-        ((300, 100.01, 10), (1.0, 1.0), Judgement.WORSE),
-        ((100, 100, 10), (1.0, 1.0), Judgement.EQUAL),
+        ((50, 120, 10), (0.5, 1.127), Verdict.MIXED),
+        ((50, 60, 9), (1.0, 1.0004), Verdict.BETTER),
+        ((300, 100.01, 10), (1.0, 1.0), Verdict.WORSE),
+        ((100, 100, 10), (1.0, 1.0), Verdict.EQUAL),
     ],
 )
 def test_the_five_numbers_are_judged_together(row, norms, judgement):
@@ -239,7 +238,7 @@ def test_what_was_assumed_is_said_and_does_not_compare_with_what_was_recorded():
     mixed = Comparison((run_indices(recording("PID")), assumed))
     assert math.isnan(mixed.ratio("a", ITAE))
     assert math.isnan(mixed.ratio("a", IVC))
-    assert mixed.judgement("a") is Judgement.INCOMPARABLE
+    assert mixed.judgement("a") is Verdict.UNKNOWN
     assert "effort: PID's is commanded, a's is measured, of /joint_states" in answer(mixed)
 
 
@@ -252,7 +251,7 @@ def test_what_was_assumed_is_said_and_does_not_compare_with_what_was_recorded():
 )
 def test_runs_of_unlike_length_or_rate_get_no_verdict_but_their_numbers(other, reason):
     comparison = Comparison((lacking("PID"), lacking("hPID", **other)))
-    assert comparison.judgement("hPID") is Judgement.INCOMPARABLE
+    assert comparison.judgement("hPID") is Verdict.UNKNOWN
     assert f"hPID against PID, over all 2 joints: not comparable: {reason}." in answer(comparison)
     text = table_text(comparison)
     assert f"hPID against PID: not comparable: {reason}." in text
@@ -272,9 +271,9 @@ def test_an_unlike_cutoff_spoils_the_chatter_alone_and_a_few_lost_states_nothing
     comparison = Comparison((lacking("PID"), run_indices(recording("hPID"), 50.0)))
     assert math.isnan(comparison.ratio("hPID", CHATTER))
     assert comparison.ratio("hPID", IVC) == 1.0
-    assert comparison.judgement("hPID") is Judgement.EQUAL
+    assert comparison.judgement("hPID") is Verdict.EQUAL
     fewer = Comparison((lacking("PID"), lacking("hPID", period=1.02e-3)))
-    assert fewer.judgement("hPID") is not Judgement.INCOMPARABLE
+    assert fewer.judgement("hPID") is not Verdict.UNKNOWN
 
 
 def test_recordings_are_cut_to_the_time_that_all_have_from_where_their_references_begin():
