@@ -92,28 +92,17 @@ class Unasked:
     """Advice that nobody asks for."""
 
 
-async def let_go_and_cancel(bench):
-    await bench.reach(Stage.READY)
-    bench.trials.press(PAGE)
-    await bench.reach(Stage.MOVING)
-    bench.trials.release(PAGE)
-    await bench.reach(Stage.READY, motions=2)
-    bench.trials.cancel()
-
-
-def test_a_motion_whose_button_was_let_go_is_prepared_once_more_until_it_is_cancelled():
-    bench = Bench()
-    assert bench.run(let_go_and_cancel) == "cancelled"
-    assert len({each.bag for each in bench.motions}) == 2
-    assert any(RELEASED in each.text for each in bench.session.log)
-
-
+@pytest.mark.parametrize(
+    ("stage", "motions"), [(Stage.PREPARING, 0), (Stage.PREPARING, 1), (Stage.READY, 1)]
+)
 @pytest.mark.parametrize("variants", [(CHOSEN, IN_FORCE), (CHOSEN,)])
-def test_what_was_set_for_a_trial_is_set_back_when_it_is_cancelled(variants):
+def test_a_trial_that_is_cancelled_sets_back_and_does_not_become_ready(variants, stage, motions):
     async def cancel(bench):
-        await bench.reach(Stage.READY)
-        assert bench.graph.joints[NODE].settings.gains.p == 99.0
-        assert bench.trials.unfinished() == [bench.session.label(NODE)]
+        await bench.reach(stage, motions)
+        assert len(bench.motions) == motions
+        if motions:
+            assert bench.graph.joints[NODE].settings.gains.p == 99.0
+            assert bench.trials.unfinished() == [bench.session.label(NODE)]
         bench.trials.cancel()
 
     bench = Bench()
@@ -122,6 +111,8 @@ def test_what_was_set_for_a_trial_is_set_back_when_it_is_cancelled(variants):
     assert bench.run(cancel, variants) == "cancelled"
     assert bench.trials.unfinished() == []
     assert bench.graph.joints[NODE].settings.gains.p == before
+    called = any("hold the button" in each.text for each in bench.session.log)
+    assert called == (stage is Stage.READY)
 
 
 @pytest.mark.parametrize("place", ["measure_motion", "TrialResult.of"])
@@ -155,30 +146,29 @@ def test_a_trial_that_is_cancelled_while_its_last_motion_is_measured_sets_back(p
     assert bench.graph.joints[NODE].settings.gains.p == before
 
 
-@pytest.mark.parametrize("motions", [0, 1])
-def test_a_trial_that_is_cancelled_before_it_is_ready_does_not_become_ready(motions):
-    async def cancel_at_once(bench):
-        await bench.reach(Stage.PREPARING, motions)
-        assert len(bench.motions) == motions
-        bench.trials.cancel()
-
-    bench = Bench()
-    assert bench.run(cancel_at_once, (CHOSEN, IN_FORCE)) == "cancelled"
-    assert not any("hold the button" in each.text for each in bench.session.log)
+def take_control(bench):
+    bench.session.control_lock.join("another")
+    bench.session.control_lock.take("another")
 
 
-@pytest.mark.parametrize("is_taken", [True, False])
-def test_a_trial_ends_where_another_page_has_control_or_its_own_is_gone(is_taken, monkeypatch):
-    async def leave(bench):
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        (take_control, "cancelled"),
+        (lambda bench: bench.session.control_lock.leave(PAGE), "cancelled"),
+        (
+            lambda bench: bench.graph.change_state(NODE, "deactivate"),
+            "arm_joint_1 is inactive: activate it first",
+        ),
+    ],
+)
+def test_what_others_do_ends_a_trial_before_it_is_pressed(act, said, monkeypatch):
+    async def meanwhile(bench):
         await bench.reach(Stage.READY)
-        if is_taken:
-            bench.session.control_lock.join("another")
-            bench.session.control_lock.take("another")
-        else:
-            bench.session.control_lock.leave(PAGE)
+        act(bench)
 
     monkeypatch.setattr(module, "_GONE_FOR", 0.2)
-    assert Bench().run(leave) == "cancelled"
+    assert Bench().run(meanwhile) == said
 
 
 def test_a_motion_that_a_limit_stopped_is_not_tried_again():
@@ -254,11 +244,13 @@ class Tapped(Motion):
         self.presses += 1
 
 
-def test_who_lets_go_before_anything_is_seen_to_move_has_let_go():
-    async def tap(bench):
+@pytest.mark.parametrize("motion", [Motion, Tapped])
+def test_a_motion_whose_button_was_let_go_is_prepared_once_more_until_it_is_cancelled(motion):
+    async def let_go(bench):
         await bench.reach(Stage.READY)
         bench.trials.press(PAGE)
-        assert bench.motions[0].presses == 1
+        if motion is Motion:
+            await bench.reach(Stage.MOVING)
         bench.trials.release(PAGE)
         assert bench.motions[0].stage == "ended"
         await bench.reach(Stage.READY, motions=2)
@@ -266,7 +258,10 @@ def test_who_lets_go_before_anything_is_seen_to_move_has_let_go():
         assert bench.motions[1].stage == "ready"
         bench.trials.cancel()
 
-    assert Bench(motion=Tapped).run(tap) == "cancelled"
+    bench = Bench(motion=motion)
+    assert bench.run(let_go) == "cancelled"
+    assert len({each.bag for each in bench.motions}) == 2
+    assert any(RELEASED in each.text for each in bench.session.log)
 
 
 @pytest.mark.parametrize("stage", [Stage.PREPARING, Stage.READY, Stage.MOVING])
@@ -301,16 +296,6 @@ def test_stop_ends_a_trial_at_once_and_no_press_moves_anything_afterwards(stage)
     assert bench.trials.said.startswith("ended by Stop")
     with pytest.raises(HpidError, match="is inactive: activate it first"):
         bench.trials.plan([NODE], MotionWish())
-
-
-def test_a_motion_of_a_joint_that_somebody_else_deactivates_ends_before_it_is_pressed():
-    async def deactivate(bench):
-        await bench.reach(Stage.READY)
-        bench.graph.change_state(NODE, "deactivate")
-
-    bench = Bench()
-    label = bench.session.label(NODE)
-    assert bench.run(deactivate) == f"{label} is inactive: activate it first"
 
 
 @pytest.mark.parametrize("is_held_on", [True, False])
