@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import deque
@@ -13,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition, TransitionEvent
@@ -30,7 +28,6 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future as RosFuture
 
 from hpid_ros.base.errors import HpidError, MessageError, RunError, unknown_name
-from hpid_ros.base.units import Numbers
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
 from hpid_ros.live.controllers import (
@@ -43,6 +40,7 @@ from hpid_ros.live.controllers import (
     RunningGraph,
     Samples,
 )
+from hpid_ros.live.history import JointHistory
 from hpid_ros.live.streams import ControllerTopics, Topic, Watching, controller_topics
 from hpid_ros.messages.reports import decode_parameter_event
 from hpid_ros.messages.selection import is_below
@@ -610,40 +608,25 @@ def running_graph(states: str = "joint_states", namespace: str | None = None) ->
     below = f"/{namespace.strip('/')}" if namespace else ""
     with _reading(below) as (client, spin, found):
         _loops(found, below)
-        joints = {name: Controller.of(name, each).joint for name, each in found.items()}
-        topics = {
-            name: ControllerTopics.usual(name, joint, states) for name, joint in joints.items()
-        }
-        return client.running(list(found), _listened(client._node, topics, spin).__getitem__)
+        controllers = [Controller.of(name, each) for name, each in found.items()]
+        return client.running(list(found), _listened(client._node, controllers, states, spin))
 
 
-def _listened(
-    node: Node, topics: Mapping[str, ControllerTopics], spin: Spin
-) -> dict[str, tuple[float | None, float | None]]:
-    """Return positions and mean efforts of joints, of those of which there were any."""
+def _listened(node: Node, controllers: Sequence[Controller], states: str, spin: Spin) -> StateOf:
+    """Return what returns positions and mean efforts of joints."""
     watching = Watching(node)
-    watching.watch(topics)
-    taken: list[Mapping[str, Samples]] = []
+    watching.watch(
+        {each.node: ControllerTopics.usual(each.node, each.joint, states) for each in controllers}
+    )
+    histories = {each.node: JointHistory(each.settings) for each in controllers}
 
     def has_states() -> bool:
-        taken.append(watching.take())
-        return any(len(each.states) for each in taken[-1].values())
+        for name, samples in watching.take().items():
+            histories[name].append(samples)
+        return any(each.position is not None for each in histories.values())
 
     spin(has_states, _STATES_WITHIN)
     spin(lambda: False, _LISTENS_FOR)
-    taken.append(watching.take())
+    has_states()
     watching.close()
-    positions = {
-        name: np.concatenate([each[name].states[:, 1] for each in taken]) for name in topics
-    }
-    efforts = {name: taken[-1][name].efforts[:, 1] for name in topics}
-    return {name: (_last(positions[name]), _mean(efforts[name])) for name in topics}
-
-
-def _last(numbers: Numbers) -> float | None:
-    return float(numbers[-1]) if len(numbers) and math.isfinite(numbers[-1]) else None
-
-
-def _mean(numbers: Numbers) -> float | None:
-    mean = float(np.mean(numbers)) if len(numbers) else math.nan
-    return mean if math.isfinite(mean) else None
+    return lambda name: (histories[name].position, histories[name].mean_effort())

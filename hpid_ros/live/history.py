@@ -218,17 +218,16 @@ class JointHistory:
 
         Of many samples the least and the largest are drawn, so that no peak is lost.
         """
-        states, efforts = self._states.fresh(), self._efforts.fresh()
-        references, errors = self._references.fresh(), self._errors.fresh()
         norms = self._norms.fresh()
-        return {
-            "position": extremes(states[:, 0], states[:, 1]),
-            "reference": extremes(references[:, 0], references[:, 1]),
-            "error": extremes(errors[:, 0], errors[:, 1]),
-            "effort": extremes(efforts[:, 0], efforts[:, 1]),
-            "norm": extremes(norms[:, 0], norms[:, 1]),
-            "multiplier": extremes(norms[:, 0], norms[:, 2]),
+        rows = {
+            "position": self._states.fresh(),
+            "reference": self._references.fresh(),
+            "error": self._errors.fresh(),
+            "effort": self._efforts.fresh(),
+            "norm": norms,
+            "multiplier": norms[:, [0, 2]],
         }
+        return {name: extremes(each[:, 0], each[:, 1]) for name, each in rows.items()}
 
     def indices(self, over: float) -> WindowIndices:
         """Return indices over the last seconds; nan where there are no samples."""

@@ -207,16 +207,14 @@ class Trials:
             )
         if inactive := self._inactive(nodes):
             raise SettingError(inactive)
-        graph = self._session.graph.running(nodes, self._state_of)
+        histories = {node: self._session.history(node) for node in nodes}
+        graph = self._session.graph.running(
+            nodes, lambda node: (histories[node].position, histories[node].mean_effort())
+        )
         controllers = chosen(graph, [])
         bounds = [bounds_of(each, None) for each in controllers]
-        limits = Wish(wish.share, wish.amplitude)
         design = Design(kind=wish.kind, duration=wish.duration, are_together=True)  # type: ignore[arg-type]
-        return plan(bounds, limits, design), controllers, graph
-
-    def _state_of(self, node: str) -> tuple[float | None, float | None]:
-        history = self._session.history(node)
-        return history.position, history.mean_effort()
+        return plan(bounds, Wish(wish.share, wish.amplitude), design), controllers, graph
 
     # The button
 

@@ -47,13 +47,10 @@ class TrialPanel:
         with ui.element("div").classes("bar"):
             prepare = viewer.acting(self._on_prepare, self.refresh)
             self._prepare = button("Get ready", prepare, "unelevated")
-            self._hold = (
-                ui.button("Hold to run")
-                .classes("hold")
-                .props(
-                    'data-act="hold" no-caps color="positive" '
-                    'aria-label="hold to run, release to stop"'
-                )
+            self._hold = ui.button("Hold to run").classes("hold")
+            self._hold.props(
+                'data-act="hold" no-caps color="positive" '
+                'aria-label="hold to run, release to stop"'
             )
             self._hold.on(
                 "pointerdown", js_handler="(event) => window.hpidLive.hold(event.currentTarget)"
@@ -228,11 +225,10 @@ def _plan_text(planned: ExcitationPlan) -> str:
 
 
 def _plan_curves(planned: ExcitationPlan) -> list[tuple[str, list[list[float]]]]:
-    curves = []
-    for column, each in enumerate(planned.joints):
-        rows = np.column_stack([planned.times, planned.positions[:, column]])
-        curves.append((each.bounds.joint, rows.tolist()))
-    return curves
+    return [
+        (each.bounds.joint, np.column_stack([planned.times, positions]).tolist())
+        for each, positions in zip(planned.joints, planned.positions.T, strict=True)
+    ]
 
 
 def _error_curves(result: TrialResult) -> list[tuple[str, list[list[float]]]]:

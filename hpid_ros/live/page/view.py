@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 
@@ -178,7 +178,6 @@ class PageView:
         self._session, self._trials = session, trials
         client = ui.context.client
         self._viewer = Viewer(session, trials, client.id, lambda: self._table.chosen)
-        self._dark = ui.dark_mode(None)
         self._logged = 0
         self._refreshed_at = float("-inf")
         self._table: JointTable
@@ -214,11 +213,12 @@ class PageView:
                 self._panel = TuningPanel(self._viewer)
 
     def _build_header(self) -> None:
+        dark = ui.dark_mode(None)
         ui.label("hpid live").classes("title")
         self._control_lock = ui.label().classes("desk")
         self._take = button("Take control", self._take_control, "outline dense")
         ui.space()
-        ui.button(icon="contrast", on_click=self._toggle_dark).props(
+        ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props(
             'flat dense aria-label="light or dark"'
         )
         stop = (
@@ -236,7 +236,7 @@ class PageView:
             ui.label("Joints").classes("heading")
             for text, label, is_all in (("all", "all joints", True), ("none", "no joint", False)):
                 look = f'flat dense size=sm aria-label="choose {label}"'
-                button(text, partial(self._choose, is_all=is_all), look)
+                button(text, lambda is_all=is_all: self._table.choose(is_all=is_all), look)
             ui.space()
             self._window = ui.select(
                 {each: f"{each} s" for each in _WINDOWS}, value=10, on_change=self._show
@@ -249,9 +249,6 @@ class PageView:
             ).props("dense size=sm")
         window = self._window
         self._table = JointTable(self._viewer, self._show, lambda: float(window.value or 10.0))
-
-    def _choose(self, *, is_all: bool) -> None:
-        self._table.choose(is_all=is_all)
 
     def _build_charts(self) -> None:
         names = {
@@ -269,9 +266,6 @@ class PageView:
     def _take_control(self) -> None:
         self._session.control_lock.take(self._viewer.page)
         self._refresh()
-
-    def _toggle_dark(self) -> None:
-        self._dark.value = not self._dark.value
 
     def _show(self) -> None:
         seen = self._session.controllers
@@ -313,17 +307,11 @@ class PageView:
         self._refresh_log()
 
     def _refresh_log(self) -> None:
-        lines = list(self._session.log)
-        total = self._session.said
-        fresh = lines[max(len(lines) - (total - self._logged), 0) :]
-        self._logged = total
-        for line in fresh:
-            with self._log:
-                at = datetime.fromtimestamp(line.at).strftime("%H:%M:%S")
-                item = ui.element("li").classes("is-bad" if line.is_bad else "")
-                with item:
-                    ui.label(f"{at}  {line.text}")
-                item.move(self._log, 0)
-        extra: Sequence[ui.element] = list(self._log)[60:]
-        for item in extra:
+        lines, fresh = list(self._session.log), self._session.said - self._logged
+        self._logged = self._session.said
+        for line in lines[max(len(lines) - fresh, 0) :]:
+            with self._log, ui.element("li").classes("is-bad" if line.is_bad else "") as item:
+                ui.label(f"{datetime.fromtimestamp(line.at):%H:%M:%S}  {line.text}")
+            item.move(self._log, 0)
+        for item in list(self._log)[60:]:
             item.delete()
