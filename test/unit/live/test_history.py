@@ -38,10 +38,6 @@ def test_few_samples_have_the_extremes_of_all_in_the_order_of_time(values, most)
     assert all(values[int(at)] == value for at, value in zip(kept_times, kept, strict=True))
 
 
-def test_what_is_not_finite_is_not_drawn():
-    assert extremes(np.arange(3.0), np.array([1.0, math.nan, math.inf])) == [0.0, 1.0]
-
-
 @given(st.lists(st.integers(1, 700), min_size=1, max_size=30))
 def test_a_track_keeps_the_newest_rows_whatever_the_pieces(sizes):
     track, rows = Track(2), np.column_stack([np.arange(sum(sizes)) * 0.05, np.arange(sum(sizes))])

@@ -118,8 +118,7 @@ def apply(page):
     page.get_by_role("button", name="Apply", exact=True).click()
 
 
-def discard(page):
-    """What is chosen is the server's: a page that is closed at once may not have said so."""
+def discard(page):  # a page that is closed at once may not have said what was chosen
     page.get_by_role("button", name="Discard").click()
     page.get_by_text(re.compile("chosen, not sent")).wait_for(state="hidden")
 

@@ -31,6 +31,9 @@ def test_what_is_in_force_already_is_not_staged(tuning):
     for mu, staged in ((-0.2, {}), (-0.1, {NODES[0]: {"mu": -0.1}}), (-0.2, {})):
         tuning.stage(NODES[:1], "mu", mu)
         assert tuning.staged_sets(NODES) == staged
+    tuning.stage(NODES[:1], "gains.p", 90)  # an integer is a number, too
+    assert type(tuning.value(NODES[0], "gains.p")) is float
+    tuning.unstage()
     tuning.stage(NODES[:1], "mu", -0.1)
     tuning.see(NODES[0], {**tuning.in_force[NODES[0]], "mu": -0.1})  # by somebody else
     assert tuning.staged_sets(NODES) == {}
@@ -61,11 +64,6 @@ def test_a_value_that_cannot_be_stages_nothing(tuning, name, value):
     with pytest.raises(SettingError):
         stage(NODES, name, value)
     assert tuning.staged_sets(NODES) == {}
-
-
-def test_an_integer_is_a_number(tuning):
-    tuning.stage(NODES[:1], "gains.p", 90)
-    assert type(tuning.value(NODES[0], "gains.p")) is float
 
 
 def test_unstable_gains_are_objected_to_before_they_are_sent(tuning):
