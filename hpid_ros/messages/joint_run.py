@@ -177,12 +177,8 @@ class _Span(NamedTuple):
 
 def setpoint_events(joint: str, setpoints: JointSamples) -> Iterator[ReferenceEvent]:
     """Yield setpoints as trajectories of one point that are taken at once."""
-    for log_time_ns, place, position in zip(
-        setpoints.log_times_ns.tolist(),
-        setpoints.places.tolist(),
-        setpoints.values.tolist(),
-        strict=True,
-    ):
+    columns = (part.tolist() for part in setpoints[1:])
+    for log_time_ns, place, position in zip(*columns, strict=True):
         yield ReferenceEvent(log_time_ns, place, Column(joint, (Knot(0, position),)))
 
 
@@ -308,13 +304,8 @@ class Window(NamedTuple):
         return cls(origin_ns, first_ns, last_ns)
 
 
-class _SampledReference(NamedTuple):
-    """A joint's reference at its states, kind and topic, its messages, when it began, in [ns]."""
-
-    values: Numbers
-    kind: str
-    messages: int
-    begin_ns: int | None
+_Reference = tuple[Numbers, str, int, int | None]
+"""A joint's reference at its states, kind and topic, its messages, when it began, in [ns]."""
 
 
 class JointRun:
@@ -449,12 +440,12 @@ class JointRun:
             return Losses(0, commands.repeated), False
         return Losses(count - answered, commands.repeated), True
 
-    def _reference(self, states: Ordered, window: Window) -> _SampledReference:
+    def _reference(self, states: Ordered, window: Window) -> _Reference:
         """Return the reference at the states and where it comes from; none without one."""
         asked = self._selection.reference
         if asked == HOLD:
             held = np.full(len(states.stamps_ns), states.values[0])
-            return _SampledReference(held, HOLD, 0, None)
+            return held, HOLD, 0, None
         if isinstance(asked, JointTrajectory):
             trajectories, setpoints = self._given(asked, window), None
         else:
@@ -476,15 +467,15 @@ class JointRun:
                 kind = "sampled" if topic in self._recording.choice.references.sampled else ""
                 kind = f"{kind or 'controller_state'} {topic}"
                 begin_ns = max(int(known.stamps_ns[0]), int(states.stamps_ns[0]))
-                return _SampledReference(values, kind, len(samples.values), begin_ns)
-        return _SampledReference(np.empty(0), NONE, 0, None)
+                return values, kind, len(samples.values), begin_ns
+        return np.empty(0), NONE, 0, None
 
     def _followed(
         self,
         trajectories: list[tuple[str, ReferenceEvent]],
         setpoints: tuple[str, JointSamples] | None,
         states: Ordered,
-    ) -> _SampledReference:
+    ) -> _Reference:
         """Return the reference that trajectories and setpoints make together."""
         logged, stamps_ns = self._samples, states.stamps_ns
         first = float(states.values[0])
@@ -505,7 +496,7 @@ class JointRun:
         begin_ns = int(stamps_ns[begin]) if begin < len(stamps_ns) else None
         if values is None:
             values = sample_events(events, logged, stamps_ns, first)
-        return _SampledReference(values, " and ".join(kinds), count, begin_ns)
+        return values, " and ".join(kinds), count, begin_ns
 
     def _given(
         self, trajectory: JointTrajectory, window: Window

@@ -163,9 +163,9 @@ def _undecodable(where: str, recording: RecordedRun) -> list[str]:
 
 def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequence[str]:
     """Return the joints to read, all of which the states name."""
-    known = recording.known_joints()
-    joints = selection.joints or recording.concerned_joints()
-    if not joints and not recording.is_of_other_joints():
+    known, concerned = recording.known_joints(), recording.concerned_joints()
+    joints = selection.joints or [name for name in known if name in concerned]
+    if not joints and not concerned:
         joints = known
     if not joints:
         choice = recording.choice
@@ -329,12 +329,6 @@ class RecordedRun:
         streams = (*self.commands.values(), *self.floats.values())
         return any(stream.joints() for stream in streams)
 
-    def is_of_other_joints(self) -> bool:
-        """Return whether there are commands or references, but of joints that no state names."""
-        known = set(self.known_joints())
-        named = self._concerned()
-        return bool(named) and known.isdisjoint(named)
-
     def known_joints(self) -> list[str]:
         """Return the joints that states name, in their order."""
         return list(dict.fromkeys(name for each in self.states.values() for name in each.names))
@@ -349,12 +343,8 @@ class RecordedRun:
             )
         return self.states[topics[0]].take(joint) if topics else None
 
-    def concerned_joints(self) -> list[str]:
-        """Return those that are commanded or have a reference, in the order of the states."""
-        concerned = self._concerned()
-        return [name for name in self.known_joints() if name in concerned]
-
-    def _concerned(self) -> set[str]:
+    def concerned_joints(self) -> set[str]:
+        """Return those that are commanded or have a reference, known or not."""
         concerned: set[str] = set()
         commands = () if self.choice.is_measured else self.commands.values()
         for stream in (*commands, *self.sampled.values()):
