@@ -5,7 +5,7 @@ For topics of a few messages; what comes a thousand times a second is read as co
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -72,43 +72,31 @@ def odometry_topics(bag: Path) -> list[str]:
 
 def read_planar(bag: Path, topic: str) -> PlanarColumns:
     """Return the poses of an odometry topic in the plane."""
-    stamps, rows = [], []
-    for message in _present(bag, topic, ODOMETRY):
-        pose = message.pose.pose
-        q = pose.orientation
+
+    def row(message: Any) -> tuple[float, float, float]:
+        p, q = message.pose.pose.position, message.pose.pose.orientation
         heading = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
-        stamps.append(stamp_ns_of(message))
-        rows.append((pose.position.x, pose.position.y, float(heading)))
-    order, stamps_ns = _ordered(stamps)
-    poses = np.array(rows)[order]
+        return p.x, p.y, float(heading)
+
+    stamps_ns, poses = _rows(bag, topic, ODOMETRY, row)
     poses[:, 2] = np.unwrap(poses[:, 2])
     return PlanarColumns(stamps_ns, poses)
 
 
 def read_vectors(bag: Path, topic: str) -> tuple[NDArray[np.int64], Numbers]:
     """Return stamps in [ns], (N,), and x, y, z, (N, 3), of a topic of stamped vectors."""
-    stamps, rows = [], []
-    for message in _present(bag, topic, VECTOR):
-        stamps.append(stamp_ns_of(message))
-        rows.append((message.vector.x, message.vector.y, message.vector.z))
-    order, stamps_ns = _ordered(stamps)
-    return stamps_ns, np.array(rows)[order]
+    return _rows(bag, topic, VECTOR, lambda each: (each.vector.x, each.vector.y, each.vector.z))
 
 
-def _present(bag: Path, topic: str, kind: str) -> list[Any]:
-    found = messages_on(bag, topic, kind)
-    if not found:
+def _rows(
+    bag: Path, topic: str, kind: str, row: Callable[[Any], Sequence[float]]
+) -> tuple[NDArray[np.int64], Numbers]:
+    """Return stamps, ascending, and a row of numbers for each; of one stamp the last stands."""
+    rows = {stamp_ns_of(message): row(message) for message in messages_on(bag, topic, kind)}
+    if not rows:
         raise BagError(f"bag {bag}: no message on {topic}")
-    return found
-
-
-def _ordered(stamps: list[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return places in the order of the stamps, the last of each stamp, and the stamps."""
-    stamps_ns = np.array(stamps, dtype=np.int64)
-    order = np.argsort(stamps_ns, kind="stable")
-    is_last = np.append(np.diff(stamps_ns[order]) > 0, True)
-    order = order[is_last]
-    return order, stamps_ns[order]
+    stamps = sorted(rows)
+    return np.array(stamps, dtype=np.int64), np.array([rows[stamp] for stamp in stamps])
 
 
 class PoseColumns(NamedTuple):
