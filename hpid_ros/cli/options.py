@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
 from hpid_ros.base.files import find_resource, write_file
 from hpid_ros.base.records import Section, take_record
-from hpid_ros.base.yaml_files import load_document
+from hpid_ros.base.yaml_files import load_document, load_yaml
 from hpid_ros.control.controller_files import ParameterFile, parameters_from
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.batch import Runner, RunRecord, run_batch
@@ -324,9 +324,6 @@ def _of_robot(
 
 def parameter_file(path: Path) -> ParameterFile:
     """Read a parameter file of joint controllers."""
-    from hpid_ros.base.yaml_files import load_yaml
-    from hpid_ros.control.controller_files import parameters_from
-
     return parameters_from(load_yaml(path, SettingError), str(path))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -16,21 +15,17 @@ from hpid_ros.cli.commands.excite import agreed, new_bag
 from hpid_ros.cli.options import write_output
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control.overrides import RAMP
+from hpid_ros.live.controllers import Controller, RunningGraph
+from hpid_ros.live.graph_client import running_graph
+from hpid_ros.live.motion import RelayFindings, bounds_of, carry_out_relay, chosen, relay_findings
 from hpid_ros.motion.excitation import JointBounds, PlannedRelay, RelayWish, planned_relay
 from hpid_ros.tuning.autotune import Autotuned, autotuned
 from hpid_ros.tuning.regression import COULOMB, VISCOUS
 from hpid_ros.tuning.upgrade import upgrade_text
 
-if TYPE_CHECKING:
-    from hpid_ros.live.controllers import Controller, RunningGraph
-    from hpid_ros.live.motion import RelayFindings
-
 
 def run(options: argparse.Namespace) -> int:
     """Plan, ask, test, propose, ask, write."""
-    from hpid_ros.live.graph_client import running_graph
-    from hpid_ros.live.motion import carry_out_relay
-
     bag = _checked(options)
     graph = running_graph(options.states, options.namespace)
     controller = _controller(graph, options.joint)
@@ -67,8 +62,6 @@ def _checked(options: argparse.Namespace) -> Path:
 
 
 def _controller(graph: RunningGraph, joint: str | None) -> Controller:
-    from hpid_ros.live.motion import chosen
-
     if joint is None and len(graph.controllers) > 1:
         known = ", ".join(graph.controllers)
         raise SettingError(f"several joints run: name one with --joint ({known})")
@@ -81,8 +74,6 @@ def _controller(graph: RunningGraph, joint: str | None) -> Controller:
 def _planned(
     options: argparse.Namespace, controller: Controller
 ) -> tuple[JointBounds, PlannedRelay]:
-    from hpid_ros.live.motion import bounds_of
-
     settings = controller.settings
     gains = settings.gains
     if not (gains.p > 0.0 and gains.d > 0.0):
@@ -122,8 +113,6 @@ def _propose(
     planned: PlannedRelay,
     bag: Path,
 ) -> int:
-    from hpid_ros.live.motion import relay_findings
-
     found = relay_findings(bag, controller, planned)
     tuned = autotuned(
         controller.settings, found.inertia, found.delay, options.closed_loop_time, options.goal

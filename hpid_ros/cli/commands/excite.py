@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -18,13 +18,12 @@ from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.options import inertias_from, write_output
 from hpid_ros.cli.terminal import output_console
+from hpid_ros.live.controllers import Controller
+from hpid_ros.live.graph_client import running_graph
+from hpid_ros.live.motion import Ending, Tell, bounds_of, carry_out, chosen
 from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan
 from hpid_ros.report.table import TableColumn, WideTable
 from hpid_ros.tuning.identification_report import excitation_figure
-
-if TYPE_CHECKING:
-    from hpid_ros.live.controllers import Controller
-    from hpid_ros.live.motion import Ending, Tell
 
 
 def agreed(question: str, *, is_given: bool, option: str = "--yes") -> bool:
@@ -50,9 +49,6 @@ _FORMATS = (".png", ".pdf", ".svg")
 
 def run(options: argparse.Namespace) -> int:
     """Plan, show, ask, excite."""
-    from hpid_ros.live.graph_client import running_graph
-    from hpid_ros.live.motion import carry_out, chosen
-
     bag = _bag(options)
     graph = running_graph(options.states, options.namespace)
     controllers = chosen(graph, options.joint)
@@ -91,8 +87,6 @@ def _bag(options: argparse.Namespace) -> Path:
 
 
 def _plan(options: argparse.Namespace, controllers: Sequence[Controller]) -> ExcitationPlan:
-    from hpid_ros.live.motion import bounds_of
-
     names = [each.joint for each in controllers]
     pose = {each.joint: each.position for each in controllers if each.position is not None}
     inertias = inertias_from(options, names, [pose])

@@ -21,7 +21,6 @@ from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.files import find_resource, refuse_outputs, write_file
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.options import parameter_file
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.result_folder import ResultFolder, check_place, versions
@@ -286,6 +285,8 @@ def run(options: argparse.Namespace) -> int:
         )
         labels = [run.label for run in found.comparison.runs]
         if options.parameters is not None:
+            from hpid_ros.cli.options import parameter_file  # imports more than bags need
+
             settings = parameter_file(options.parameters).loops.values()
             by_joint = {each.joint: dict(each.to_parameters()) for each in settings}
             found = replace(found, parameters=dict.fromkeys(labels, by_joint))
