@@ -115,7 +115,9 @@ def test_stop_ends_what_is_ready_and_a_press_cannot_move_a_stopped_joint(harness
     harness.wait(lambda: not harness.is_there("hpid_exciter"), what="the motion's end")
     page.get_by_text("turn is inactive: activate it first", exact=True).wait_for()
     expect(page.get_by_role("button", name="Get ready")).to_be_disabled()
-    positions(harness)  # what has come while the test looked at the page is behind it then
+    # What has waited for the test while it looked at the page is behind it then.
+    harness.wait(lambda: harness.commands and harness.commands[-1].effort == (0.0,), what="zero")
+    positions(harness)
     harness.commands.clear()
     assert np.ptp(positions(harness)) < 1e-9
     assert all(each.effort == (0.0,) for each in harness.commands)
