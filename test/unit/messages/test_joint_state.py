@@ -100,6 +100,12 @@ def test_effort_reader_tells_publishers_apart(commands):
     assert reader.read(raw) == (5, ("a", "b"), (1.0, 2.0))
 
 
+def test_effort_reader_remembers_no_command_whose_effort_is_not_its_last_bytes():
+    reader, fields = EffortReader(), (5, "", ["a"], [], [], [1.5])
+    for raw in (serialise(*fields, little_endian=False), serialise(*fields) + bytes(8)):
+        assert reader.read(raw) == reader.read(raw) == (5, ("a",), (1.5,))
+
+
 def test_effort_reader_remembers_no_long_names_of_strangers():
     reader = EffortReader()
     for k in range(50):
