@@ -40,12 +40,11 @@ from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot, RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.tuning.upgrade import GOALS
-from hpid_ros.tuning.upgrade_from_bag import UpgradeReport, upgrade_from_bag
+from hpid_ros.tuning.upgrade_from_bag import BagUpgrade, upgrade_from_bag
 from hpid_ros.tuning.upgrade_prediction import (
     HOLDS_WITHIN,
     Prediction,
     Verification,
-    prediction_of,
     verify,
 )
 
@@ -106,7 +105,7 @@ class Travelled(NamedTuple):
     """
 
     motion: str
-    found: UpgradeReport
+    found: BagUpgrade
     prediction: Prediction
     verification: Verification
 
@@ -193,7 +192,7 @@ def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
         found = upgrade_from_bag(before, drawn.given, "drawn.urdf", goal)
         if found.is_kept and goal == "balanced":
             found = upgrade_from_bag(before, drawn.given, "drawn.urdf", "smooth")
-        prediction = prediction_of(found)
+        prediction = found.prediction
         new = {each.joint: each for each in found.settings}
         proposed = [new.get(each.joint, each) for each in drawn.controllers]
         drawn.record(proposed, after, seed + 1_000_000)

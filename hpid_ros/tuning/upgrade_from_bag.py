@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -22,7 +22,7 @@ from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.laws import read_retunes
-from hpid_ros.metrics.quantities import INDICES, ITAE, IVC
+from hpid_ros.metrics.quantities import INDICES, IVC
 from hpid_ros.metrics.results import RunIndices, run_indices
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot
@@ -54,6 +54,7 @@ from hpid_ros.tuning.upgrade import (
     propose,
     worthwhile,
 )
+from hpid_ros.tuning.upgrade_prediction import JUDGED, Expected, Prediction, over
 
 _WINDOW = 200  # samples
 _THIRD_DIFFERENCE = 20.0  # of white noise, over the variance of the noise itself: 1 + 9 + 9 + 1
@@ -181,9 +182,6 @@ DEFAULT_GOAL = "balanced"
 
 _ENGINE = "mujoco"  # its joints have armatures: a rotor is simulated as it was identified
 
-JUDGED = (IVC, ITAE)
-"""The indices that a prediction has to hold for, of all joints together."""
-
 _LEAST_DOUBT, _DOUBT_OF_MISFIT = 0.04, 0.55
 """Of the logarithm of a ratio, and of the largest logarithm by which a simulated PID misses an
 index: what the strange plants 16 to 47 need (``python -m benchmarks.upgrades strange``)."""
@@ -195,41 +193,6 @@ _MOST_COUNTS = 0.5  # of noise: more would be seen in the position
 _MOST_TIMES = 2.0  # what the position shows
 
 
-@dataclass(frozen=True)
-class UpgradeReport:
-    """What a recording under a PID led to."""
-
-    bag: Path  # recorded under the PID
-    urdf: str  # what the robot was named by
-    goal: str  # of GOALS: what the proposal is for
-    recording: RunSeries  # what was recorded
-    identification: RobotIdentification  # what was identified of it
-    model: RobotModel  # the robot with that
-    loops: tuple[LoopSettings, ...]  # the controllers as they ran
-    # the worst margins of each PID along the recording, or why there are none
-    margins: Mapping[str, Margins | str]
-    proposals: Proposals  # what is proposed instead; the PID where nothing is gained
-    # the recording, its simulation, and the proposal's
-    runs: tuple[RunSeries, RunSeries, RunSeries]
-    # of goals that were not asked for, by index: what they would bring, over the PID's
-    others: Mapping[str, Mapping[str, float]]
-    # half of the interval of the logarithm of each joint's ratios, by joint
-    doubts: Mapping[str, float]
-    warnings: tuple[str, ...] = ()  # what the numbers must be read with, one line each
-
-    @property
-    def comparison(self) -> Comparison:
-        return Comparison(tuple(run_indices(each) for each in self.runs))
-
-    @property
-    def settings(self) -> tuple[LoopSettings, ...]:
-        return tuple(_after(self.loops, self.proposals.found))
-
-    @property
-    def is_kept(self) -> bool:
-        return not _changed(self.proposals.found)
-
-
 def upgrade_from_bag(
     bag: Path,
     robot: GivenRobot,
@@ -239,7 +202,7 @@ def upgrade_from_bag(
     payload: float = 0.0,
     phase: Callable[[str], None] = lambda name: None,
     certifying: Certifying = lambda count: nullcontext(lambda joints: None),
-) -> UpgradeReport:
+) -> BagUpgrade:
     """Identify the robot, check the PID, propose another law and simulate what it brings.
 
     The robot's own rotors and friction do not count. ``parameters`` is a file of the controllers'
@@ -250,15 +213,9 @@ def upgrade_from_bag(
     base = base_motion(bag)
     recording, loops, warnings = _read(bag, robot, goal, parameters, base)
     phase("identifying the joints")
-    identification = identify_robot(
-        recording, robot, robot_name=urdf, bag_name=str(bag), base=base
-    )
-    model = robot_model(robot, identification.joints, recording.joints)
+    found = identify_robot(recording, robot, robot_name=urdf, bag_name=str(bag), base=base)
+    model = robot_model(robot, found.joints, recording.joints)
     inertias = _inertias(model, payload, loops, recording.joints)
-    period = median_period(recording.joints[0])
-    margins = {
-        each.joint: pid_margins(each, inertias[each.joint], model, period) for each in loops
-    }
     has_velocities = measures_velocity(bag, loops[0].joint)
     if has_velocities and any(each.velocity.is_measured for each in loops):
         warnings.append(
@@ -266,29 +223,12 @@ def upgrade_from_bag(
             "its positions, whose noise may be another"
         )
     limits = effort_limits(robot.description)  # what a recording shows may be a load's
-    simulations = _Simulations(
-        model, loops, recording, inertias, phase, certifying, has_velocities, limits
-    )
-    wanted = goal or DEFAULT_GOAL
-    proposals, predicted = simulations.of(wanted)
-    others: dict[str, dict[str, float]] = {}
-    if goal is None and not _changed(proposals.found):
-        others = simulations.others(each for each in GOALS if each != wanted)
-    return UpgradeReport(
-        bag,
-        urdf,
-        wanted,
-        recording,
-        identification,
-        simulations.model,
-        tuple(loops),
-        margins,
-        proposals,
-        (recording.narrowed([each.joint for each in loops]), simulations.before, predicted),
-        others,
-        simulations.doubts,
-        tuple(warnings),
-    )
+    wanted, parts = goal or DEFAULT_GOAL, (inertias, limits, has_velocities, phase, certifying)
+    upgraded = BagUpgrade(bag, urdf, wanted, recording, loops, warnings, found, model, *parts)
+    upgraded.proposals, upgraded.predicted = upgraded.propose(wanted)
+    if goal is None and upgraded.is_kept:
+        upgraded.try_other_goals()
+    return upgraded
 
 
 def _read(
@@ -419,28 +359,76 @@ class _NoiseSearch(NamedTuple):
         return _NoiseSearch(self.facts._replace(noise=middle), low, high, best, least)
 
 
-class _Simulations:
-    """Proposals for a robot, simulated on it."""
+@dataclass
+class BagUpgrade:
+    """What a recording under a PID led to: the robot, a proposal, and its simulation."""
 
-    def __init__(
-        self,
-        model: RobotModel,
-        loops: Sequence[LoopSettings],
-        recording: RunSeries,
-        inertias: Mapping[str, tuple[float, float]],
-        phase: Callable[[str], None],
-        certifying: Certifying,
-        has_velocities: bool,
-        limits: Mapping[str, float],
-    ) -> None:
-        self.model, self._loops, self._recording = model, loops, recording
-        self._inertias, self._limits = inertias, limits
-        self._phase, self._certifying = phase, certifying
-        self._has_velocities = has_velocities
+    bag: Path  # recorded under the PID
+    urdf: str  # what the robot was named by
+    goal: str  # of GOALS: what the proposal is for
+    recording: RunSeries  # what was recorded
+    loops: Sequence[LoopSettings]  # the controllers as they ran
+    warnings: Sequence[str]  # what the numbers must be read with, one line each
+    identification: RobotIdentification  # what was identified of the recording
+    model: RobotModel  # the robot with that
+    inertias: Mapping[str, tuple[float, float]]  # [kg m^2] least and largest, by joint
+    limits: Mapping[str, float]  # [N m] of the motors, by joint
+    has_velocities: bool  # whether the robot measures them
+    phase: Callable[[str], None]
+    certifying: Certifying
+    proposals: Proposals = field(init=False)  # the PID where nothing is gained
+    predicted: RunSeries = field(init=False)  # the proposal, simulated
+    # of goals that were not asked for, by index: what they would bring, over the PID's
+    others: dict[str, dict[str, float]] = field(init=False, default_factory=dict)
+
+    @cached_property
+    def margins(self) -> dict[str, Margins | str]:
+        """The worst margins of each PID along the recording, or why there are none."""
+        period = median_period(self.recording.joints[0])
+        return {
+            each.joint: pid_margins(each, self.inertias[each.joint], self.model, period)
+            for each in self.loops
+        }
+
+    @property
+    def runs(self) -> tuple[RunSeries, RunSeries, RunSeries]:
+        """The recording, its simulation, and the proposal's."""
+        return self._recorded, self.before, self.predicted
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        return Comparison(tuple(map(run_indices, self.runs)))
+
+    @property
+    def settings(self) -> list[LoopSettings]:
+        return _after(self.loops, self.proposals.found)
+
+    @property
+    def is_kept(self) -> bool:
+        return not _changed(self.proposals.found)
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """What is expected of each joint."""
+        joints: dict[str, dict[str, Expected]] = {each.joint: {} for each in self.loops}
+        for name, known in joints.items():
+            for index in INDICES:
+                before, model, after = (run.value(index, name) for run in self.comparison.runs)
+                known[index.key] = Expected(
+                    before, over(after, model), over(model, before), self.doubts[name]
+                )
+        slides = self.model.robot.description.slides
+        parameters = {each.joint: dict(each.to_parameters()) for each in self.settings}
+        named = tuple(name for name in joints if name in slides)
+        return Prediction(self.bag.name, self.goal, joints, parameters, named)
+
+    @cached_property
+    def _recorded(self) -> RunSeries:
+        return self.recording.narrowed([each.joint for each in self.loops])
 
     @cached_property
     def _target(self) -> RunIndices:
-        return run_indices(self._recording.narrowed([each.joint for each in self._loops]))
+        return run_indices(self._recorded)
 
     @cached_property
     def doubts(self) -> dict[str, float]:
@@ -469,13 +457,13 @@ class _Simulations:
     @cached_property
     def before(self) -> RunSeries:
         """The PID, simulated with the noise that explains how its efforts vary."""
-        (plain,) = self._simulated({SIMULATED: self._loops})
-        names, target = [each.joint for each in self._loops], self._target
+        plain = self._simulated(SIMULATED, self.loops)
+        names, target = [each.joint for each in self.loops], self._target
         self._explained = {
             name: _ratio(run_indices(plain).value(IVC, name), target.value(IVC, name))
             for name in names
         }
-        aims = {each.joint: _quiet_variation(each) for each in self._recording.joints}
+        aims = {each.joint: _quiet_variation(each) for each in self.recording.joints}
         was = {each.joint: _quiet_variation(each) for each in plain.joints}
         search = {
             name: _NoiseSearch.begun(self.model.facts[name])
@@ -484,7 +472,7 @@ class _Simulations:
         }
         for _ in range(_NOISE_TRIALS if search else 0):
             facts = {name: each.facts for name, each in search.items()}
-            (run,) = self._simulated({SIMULATED: self._loops}, facts)
+            run = self._simulated(SIMULATED, self.loops, facts)
             for each in run.joints:
                 if each.joint in search:
                     search[each.joint] = search[each.joint].after(
@@ -494,58 +482,57 @@ class _Simulations:
         if not found:
             return plain
         self.model = replace(self.model, facts={**self.model.facts, **found})
-        (fitted,) = self._simulated({SIMULATED: self._loops})
-        return fitted
+        return self._simulated(SIMULATED, self.loops)
 
-    def of(self, goal: str) -> tuple[Proposals, RunSeries]:
+    def propose(self, goal: str) -> tuple[Proposals, RunSeries]:
         """Return what is proposed for a goal, and its simulation."""
-        recorded = self._recording.joints
-        self._phase(f"certifying degrees for the goal {goal}")
-        proposals = propose(
-            self._loops, self._inertias, recorded, self._limits, goal, self._certifying
+        self.phase(f"certifying degrees for the goal {goal}")
+        found, failures = propose(
+            self.loops, self.inertias, self.recording.joints, self.limits, goal, self.certifying
         )
-        self._phase("simulating the identified robot")
+        self.phase("simulating the identified robot")
         before = self.before  # first: it fits the noise
-        (after,) = self._simulated({PREDICTED: _after(self._loops, proposals.found)})
+        after = self._simulated(PREDICTED, _after(self.loops, found))
         both = Comparison((run_indices(before), run_indices(after)))
         found = {
             name: worthwhile(each, goal, both, self._doubt(goal, name))
-            for name, each in proposals.found.items()
+            for name, each in found.items()
         }
-        kept = Proposals(found, proposals.failures)
         if not _changed(found):
-            return kept, replace(before, label=PREDICTED)
-        if any(each.settings.law == "pid" for each in found.values()):
-            (after,) = self._simulated({PREDICTED: _after(self._loops, found)})
-        return kept, after
+            after = replace(before, label=PREDICTED)
+        elif len(_changed(found)) < len(found):
+            after = self._simulated(PREDICTED, _after(self.loops, found))
+        return Proposals(found, failures), after
 
-    def others(self, goals: Iterable[str]) -> dict[str, dict[str, float]]:
-        """Return what goals would bring, by goal and index, over the PID's, of all joints."""
-        found = {}
-        for goal in goals:
-            proposals, after = self.of(goal)
+    def try_other_goals(self) -> None:
+        """Find what goals that were not asked for would bring to all joints."""
+        for goal in GOALS:
+            if goal == self.goal:
+                continue
+            proposals, after = self.propose(goal)
             if _changed(proposals.found):
                 both = Comparison((run_indices(self.before), run_indices(after)))
-                found[goal] = {each.key: both.ratio(after.label, each) for each in INDICES}
-        return found
+                self.others[goal] = {each.key: both.ratio(after.label, each) for each in INDICES}
 
     def _simulated(
         self,
-        loops: Mapping[str, Sequence[LoopSettings]],
+        label: str,
+        loops: Sequence[LoopSettings],
         facts: Mapping[str, JointFacts] = MappingProxyType({}),
-    ) -> list[RunSeries]:
+    ) -> RunSeries:
         robot = self.model.robot
-        return simulate(
+        (found,) = simulate(
             robot.source,
-            loops,
-            self._recording.joints,
+            {label: loops},
+            self.recording.joints,
             robot.fixed_base,
             robot.initial_positions,
             facts={**self.model.facts, **facts},
-            has_velocities=self._has_velocities,
-            period=median_period(self._recording.joints[0]),
+            has_velocities=self.has_velocities,
+            period=median_period(self.recording.joints[0]),
             engine=_ENGINE,
         )
+        return found
 
 
 def _after(loops: Sequence[LoopSettings], found: Mapping[str, Upgrade]) -> list[LoopSettings]:

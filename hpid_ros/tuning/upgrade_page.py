@@ -32,18 +32,16 @@ from hpid_ros.stability.margins import Margins
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
 from hpid_ros.tuning.term_selection import JointIdentification
 from hpid_ros.tuning.upgrade import upgrade_text
-from hpid_ros.tuning.upgrade_from_bag import UpgradeReport
+from hpid_ros.tuning.upgrade_from_bag import BagUpgrade
 from hpid_ros.tuning.upgrade_prediction import Expected, Prediction
 
 _HALF = 0.5
 
 
-def first_steps(
-    found: UpgradeReport, prediction: Prediction, files: Mapping[str, Path]
-) -> list[tuple[str, Sequence[str]]]:
+def first_steps(found: BagUpgrade, files: Mapping[str, Path]) -> list[tuple[str, Sequence[str]]]:
     """Return what to do, each in words and as lines of commands, if there are any."""
     bag, robot = (shlex.quote(str(each)) for each in (found.bag, found.urdf))
-    if not prediction.is_credible:
+    if not found.prediction.is_credible:
         return [
             (
                 "See which joint's efforts the model does not explain.",
@@ -65,7 +63,9 @@ def first_steps(
         ]
     first = min(
         changed,
-        key=lambda each: sum(prediction.joints[each.joint][x.key].ratio for x in (IVC, ITAE)),
+        key=lambda each: sum(
+            found.prediction.joints[each.joint][x.key].ratio for x in (IVC, ITAE)
+        ),
     )
     parameters = shlex.quote(str(files["parameters"]))
     prediction_file = shlex.quote(str(files["prediction"]))
@@ -118,16 +118,14 @@ ASSUMED = (
 """What every prediction stands on."""
 
 
-def render(found: UpgradeReport, prediction: Prediction, files: Mapping[str, Path]) -> str:
+def render(found: BagUpgrade, files: Mapping[str, Path]) -> str:
     """Return the page as the text of an HTML file."""
-    comparison = found.comparison
-    labels = [run.label for run in comparison.runs]
     sections: dict[str, Sequence[Block]] = {
-        "What was found": [*_found(found, prediction)],
+        "What was found": [*_found(found)],
         "What is assumed": [*_assumed(found)],
         "What will change": [*_changes(found)],
         "What to try first": [
-            Steps(first_steps(found, prediction, files)),
+            Steps(first_steps(found, files)),
             Paragraph("Keep a hand on the emergency stop.", is_soft=True),
         ],
         "Figures": (),
@@ -135,18 +133,18 @@ def render(found: UpgradeReport, prediction: Prediction, files: Mapping[str, Pat
     }
     return render_page(
         f"{found.bag.name}: from a PID to a homogeneous PID",
-        summary(found, prediction),
-        doubts(found, prediction),
-        [expectations(prediction)],
+        summary(found),
+        doubts(found),
+        [expectations(found.prediction)],
         sections,
-        page_figures(comparison, found.runs),
-        labels,
+        page_figures(found.comparison, found.runs),
+        [run.label for run in found.runs],
     )
 
 
-def summary(found: UpgradeReport, prediction: Prediction) -> str:
+def summary(found: BagUpgrade) -> str:
     """Return what came of it in a sentence or two."""
-    if not prediction.is_credible:
+    if not found.prediction.is_credible:
         return (
             "Nothing is proposed: the simulation of your PID is far from what was recorded, so "
             "the model says nothing about another law. Was the base at rest, are the masses of "
@@ -160,7 +158,9 @@ def summary(found: UpgradeReport, prediction: Prediction) -> str:
         return text
     laws = [each.law == "hpid" for each in found.settings]
     which = "all joints" if all(laws) else f"{sum(laws)} of {len(laws)} joints"
-    expected = " and ".join(_expected(each, prediction.total(each.key)) for each in (IVC, ITAE))
+    expected = " and ".join(
+        _expected(each, found.prediction.total(each.key)) for each in (IVC, ITAE)
+    )
     return (
         f"A homogeneous PID with your gains for {which}, goal {found.goal}: expected over all "
         f"joints {expected}."
@@ -183,7 +183,7 @@ def _expected(index: Quantity, expected: Expected) -> str:
     return f"{_change(index, expected.ratio)} ({ends[0]:+.0f} to {ends[1]:+.0f} %)"
 
 
-def doubts(found: UpgradeReport, prediction: Prediction) -> list[str]:
+def doubts(found: BagUpgrade) -> list[str]:
     """Return what the prediction must be read with, one line each."""
     lines = list(found.warnings)
     lines += [f"{name} is not upgraded: {why}" for name, why in found.proposals.failures.items()]
@@ -194,7 +194,7 @@ def doubts(found: UpgradeReport, prediction: Prediction) -> list[str]:
             degrees = math.degrees(margins.phase)
             lines.append(f"{joint}: your PID has a phase margin of only {degrees:.0f} degrees")
     for index in (IVC, ITAE):
-        total = prediction.total(index.key)
+        total = found.prediction.total(index.key)
         if not (found.is_kept or total.is_certain):
             lines.append(f"{index.symbol} may rise or fall: its interval contains no change")
         off = total.fidelity - 1.0
@@ -244,7 +244,7 @@ def _cells(expected: Sequence[Expected]) -> list[list[Cell]]:
     ]
 
 
-def _found(found: UpgradeReport, prediction: Prediction) -> Iterator[Block]:
+def _found(found: BagUpgrade) -> Iterator[Block]:
     yield Heading("The joints")
     yield PlainTable(
         "What was identified",
@@ -278,10 +278,10 @@ def _found(found: UpgradeReport, prediction: Prediction) -> Iterator[Block]:
         is_soft=True,
     )
     yield Heading("Is the model right?")
-    totals = [prediction.total(index.key).fidelity for index in INDICES]
+    totals = [found.prediction.total(index.key).fidelity for index in INDICES]
     rows = [
         [name, *(format_ratio(known[index.key].fidelity) for index in INDICES)]
-        for name, known in prediction.joints.items()
+        for name, known in found.prediction.joints.items()
     ]
     rows.append(["all: sum", *map(format_ratio, totals)])
     yield PlainTable(
@@ -297,7 +297,7 @@ def _found(found: UpgradeReport, prediction: Prediction) -> Iterator[Block]:
     )
 
 
-def _identified_headings(found: UpgradeReport) -> tuple[str, ...]:
+def _identified_headings(found: BagUpgrade) -> tuple[str, ...]:
     slides = [each.joint in found.identification.slides for each in found.identification.joints]
     inertia, friction, effort, angle = (
         unit_over(each, slides).replace("^2", "²")
@@ -315,7 +315,7 @@ def _identified_headings(found: UpgradeReport) -> tuple[str, ...]:
     )
 
 
-def _identified(each: JointIdentification, found: UpgradeReport) -> list[str]:
+def _identified(each: JointIdentification, found: BagUpgrade) -> list[str]:
     moved = found.identification.moved.get(each.joint)
     facts = found.model.facts.get(each.joint)
     return [
@@ -352,7 +352,7 @@ def _checked(settings: LoopSettings, margins: Margins | str) -> list[str]:
     ]
 
 
-def _assumed(found: UpgradeReport) -> Iterator[Block]:
+def _assumed(found: BagUpgrade) -> Iterator[Block]:
     yield from (Paragraph(text) for text in ASSUMED)
     rows = [(joint, line) for joint, lines in found.model.assumptions.items() for line in lines]
     if rows:
@@ -362,7 +362,7 @@ def _assumed(found: UpgradeReport) -> Iterator[Block]:
         )
 
 
-def _changes(found: UpgradeReport) -> Iterator[Block]:
+def _changes(found: BagUpgrade) -> Iterator[Block]:
     before = {each.joint: each.to_parameters() for each in found.loops}
     rows = []
     for joint, each in found.proposals.found.items():
@@ -400,7 +400,7 @@ def _text(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _provenance(found: UpgradeReport, files: Mapping[str, Path]) -> dict[str, object]:
+def _provenance(found: BagUpgrade, files: Mapping[str, Path]) -> dict[str, object]:
     run = found.recording
     return {
         "hpid_ros": __version__,
@@ -412,11 +412,11 @@ def _provenance(found: UpgradeReport, files: Mapping[str, Path]) -> dict[str, ob
     }
 
 
-def parameter_text(found: UpgradeReport, prediction: Prediction) -> str:
+def parameter_text(found: BagUpgrade) -> str:
     """Return the parameter file of what is proposed, with what to know of each joint."""
     header = [
         f"From {found.bag}, goal {found.goal}.",
-        *textwrap.wrap(summary(found, prediction), 96),
+        *textwrap.wrap(summary(found), 96),
         "ros2 run hpid_ros joint_controllers --ros-args --params-file THIS_FILE",
     ]
     proposed, failures = found.proposals
@@ -424,7 +424,7 @@ def parameter_text(found: UpgradeReport, prediction: Prediction) -> str:
     for joint, error in failures.items():
         notes[joint] = [f"NOT upgraded: {error}."]
     for joint, each in proposed.items():
-        expected = ((q.symbol, prediction.joints[joint][q.key]) for q in INDICES)
+        expected = ((q.symbol, found.prediction.joints[joint][q.key]) for q in INDICES)
         ratios = (f"{name} {x.ratio:.3f} ({x.low:.2f} to {x.high:.2f})" for name, x in expected)
         line = f"Expected over the PID: {', '.join(ratios)}."
         notes[joint] = [*each.remarks, *found.model.assumptions.get(joint, ()), line]

@@ -14,16 +14,16 @@ from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.metrics.comparison import Comparison, mismatches
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure_all
-from hpid_ros.metrics.quantities import INDICES, Quantity
+from hpid_ros.metrics.quantities import INDICES, ITAE, IVC, Quantity
 from hpid_ros.tuning.recorded_loops import recorded_controllers
-from hpid_ros.tuning.upgrade_from_bag import JUDGED, PREDICTED, RECORDED, SIMULATED, UpgradeReport
 
 KIND = "hpid_ros/prediction"
 """What a file of this kind says it is."""
 
 _FAR = 1.5  # times, or as a part, of a recorded index: no model of that robot
 
-_KEYS = tuple(each.key for each in INDICES)
+JUDGED = (IVC, ITAE)
+"""The indices that a prediction has to hold for, of all joints together."""
 
 
 class Expected(NamedTuple):
@@ -74,9 +74,7 @@ class Prediction:
         after = math.fsum(one.after for one in each)
         simulated = math.fsum(one.before * one.fidelity for one in each)
         doubt = math.fsum(one.after * one.doubt for one in each)
-        return Expected(
-            before, _over(after, before), _over(simulated, before), _over(doubt, after)
-        )
+        return Expected(before, over(after, before), over(simulated, before), over(doubt, after))
 
     @property
     def is_credible(self) -> bool:
@@ -104,29 +102,7 @@ class Prediction:
         return json.dumps(document, indent=2) + "\n"
 
 
-def prediction_of(found: UpgradeReport) -> Prediction:
-    """Return what is predicted of the joints that were upgraded."""
-    comparison = found.comparison
-    runs = [comparison.run(label) for label in (RECORDED, SIMULATED, PREDICTED)]
-    joints: dict[str, dict[str, Expected]] = {}
-    for each in found.loops:
-        joints[each.joint] = {}
-        for index in INDICES:
-            before, model, after = (run.value(index, each.joint) for run in runs)
-            joints[each.joint][index.key] = Expected(
-                before, _over(after, model), _over(model, before), found.doubts[each.joint]
-            )
-    slides = found.model.robot.description.slides
-    return Prediction(
-        found.bag.name,
-        found.goal,
-        joints,
-        {each.joint: dict(each.to_parameters()) for each in found.settings},
-        tuple(name for name in joints if name in slides),
-    )
-
-
-def _over(value: float, other: float) -> float:
+def over(value: float, other: float) -> float:
     return value / other if other else math.nan
 
 
@@ -157,7 +133,7 @@ def _from(document: Mapping[str, Any]) -> Prediction:
         {
             str(name): {
                 key: Expected(*(float(each["indices"][key][of]) for of in Expected._fields))
-                for key in _KEYS
+                for key in (index.key for index in INDICES)
             }
             for name, each in document["joints"].items()
         },

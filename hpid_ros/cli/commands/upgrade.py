@@ -43,14 +43,13 @@ from hpid_ros.tuning.upgrade import (
     upgrade_text,
     worthwhile,
 )
-from hpid_ros.tuning.upgrade_from_bag import JUDGED, UpgradeReport, upgrade_from_bag
+from hpid_ros.tuning.upgrade_from_bag import BagUpgrade, upgrade_from_bag
 from hpid_ros.tuning.upgrade_page import doubts, parameter_text, render, summary
 from hpid_ros.tuning.upgrade_prediction import (
     HOLDS_WITHIN,
+    JUDGED,
     Held,
-    Prediction,
     Verification,
-    prediction_of,
     read_prediction,
     verify,
 )
@@ -107,22 +106,18 @@ def _of_bag(options: argparse.Namespace) -> int:
         lambda phase: errors.print(phase, style="dim", highlight=False, markup=False),
         _certifying(errors),
     )
-    prediction = prediction_of(found)
-    contents = {"page": render(found, prediction, files)}
+    prediction, contents = found.prediction, {"page": render(found, files)}
     if prediction.is_credible:
-        contents = {
-            "parameters": parameter_text(found, prediction),
-            **contents,
-            "prediction": prediction.as_text(),
-        }
+        contents = {"parameters": parameter_text(found), **contents}
+        contents["prediction"] = prediction.as_text()
     for name, content in contents.items():
         write_output(files[name], content)
     console = output_console()
     if prediction.is_credible:
-        console.print(_table(found, prediction))
+        console.print(_table(found))
         console.print("")
-    console.print(summary(found, prediction), style="bold", highlight=False, markup=False)
-    for line in doubts(found, prediction):
+    console.print(summary(found), style="bold", highlight=False, markup=False)
+    for line in doubts(found):
         console.print(f"! {shown(line)}", style="yellow", highlight=False, markup=False)
     console.print("")
     for name in contents:
@@ -157,13 +152,13 @@ def _files(options: argparse.Namespace) -> dict[str, Path]:
     return files
 
 
-def _table(found: UpgradeReport, prediction: Prediction) -> WideTable:
+def _table(found: BagUpgrade) -> WideTable:
     names = [each.joint for each in found.settings]
     laws = [f"mu {each.mu:+.2f}" if each.law == "hpid" else "PID" for each in found.settings]
     columns = [TableColumn("law", [*laws, ""])]
     for index in INDICES:
-        rows = [prediction.joints[name][index.key] for name in names]
-        rows.append(prediction.total(index.key))
+        rows = [found.prediction.joints[name][index.key] for name in names]
+        rows.append(found.prediction.total(index.key))
         columns += [
             TableColumn(f"{index.symbol} ratio", [f"{each.ratio:.3f}" for each in rows]),
             TableColumn("from", [f"{each.low:.2f}" for each in rows]),
