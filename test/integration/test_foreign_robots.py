@@ -246,7 +246,7 @@ def test_predictions_start_where_the_experiment_does():
     (run,) = predicted.runs
     # A step of the error scale, 0.1 rad, is over in a second; an arm that falls over with its
     # base, or that starts from another pose, is not (0.4 and more in the worst joint).
-    assert all(each.itae < 0.02 for each in run.joints.values())
+    assert all(each["itae"] < 0.02 for each in run.joints.values())
 
 
 @needs_bullet

@@ -62,7 +62,7 @@ def with_gain(loop, factor):
 
 
 @examples(1)
-@given(frozen_loops())
+@given(frozen_loops(slowest=-1.0))
 def test_the_gain_may_vary_between_its_margins_and_no_further(loop):
     found = margins_of(loop)
     within = np.geomspace(max(found.gain_reduction, 0.02), min(found.gain, 50.0), 7)
@@ -141,8 +141,9 @@ def test_margins_and_peaks_are_those_of_python_control(loop, late):
     frequency = frequency_grid(loop, 600)[:-1]
     other = python_control_loop(loop)
     response = other(np.exp(1j * frequency * loop.joint.period)).ravel()
-    frequency = around_peaks(frequency, response)
-    response = other(np.exp(1j * frequency * loop.joint.period)).ravel()
+    for _ in range(2):  # a loop that is nearly unstable has narrow peaks
+        frequency = around_peaks(frequency, response)
+        response = other(np.exp(1j * frequency * loop.joint.period)).ravel()
     assert loop.response(frequency)[::50] == pytest.approx(response[::50], rel=1e-5)
     data = control.frd(response, frequency, dt=loop.joint.period)
     gains, phases, _, _, crossovers, _ = control.stability_margins(data, returnall=True)
