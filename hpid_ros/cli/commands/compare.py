@@ -32,8 +32,6 @@ from hpid_ros.report.table import ComparisonTable
 
 def run(options: argparse.Namespace) -> int:
     """Run the comparison and print what it gave."""
-    # Imported here, as in every command: --help and errors do not wait for them.
-
     if options.engine == BOTH:
         if options.animation:
             raise SettingError("--animation is of one engine: hpid render takes one of both")
