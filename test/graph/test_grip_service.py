@@ -75,7 +75,7 @@ def test_a_person_grips_lets_go_and_begins_anew(harness, tmp_path):
     ]
     assert float(events[0].values[0].value) < 0.005
     call(hold, SetBool.Request(data=False))
-    harness.wait(lambda: poses[-1].header.stamp.sec >= 1, what="the arm to sink")
+    harness.wait(lambda: poses and poses[-1].header.stamp.sec >= 1, what="the arm to sink")
     missed = call(grip, SetBool.Request(data=True))
     assert not missed.success
     assert "brick missed at" in missed.message

@@ -115,6 +115,7 @@ class Joints:
         )
         log = processes["action"].log
         self.run(lambda: "ready for goals" in log.read_text(), what="the action to be ready")
+        self.run(lambda: all(self.references.values()), what="references of all joints")
         return SimpleNamespace(**processes)
 
     def start_action(self, name=ACTION, **parameters):
