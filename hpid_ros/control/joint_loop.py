@@ -315,6 +315,10 @@ class JointLoop:
             clamp=settings.effort,
             effort=law.effort,
             stamp_ns=self.stamp_ns or 0,
+            position=self._position,
+            unwrapper=self._unwrapper,
+            step_max=self._step_max,
+            speed_max=self._speed_max,
             duration=duration,
         )
 

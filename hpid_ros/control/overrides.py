@@ -12,7 +12,7 @@ from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.limits import MotionLimits
 from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.settings import EffortLimits
-from hpid_ros.control.velocity import VelocitySource
+from hpid_ros.control.velocity import Unwrapper, VelocitySource
 
 
 @dataclass(kw_only=True)
@@ -26,6 +26,10 @@ class DampingStop:
     clamp: EffortLimits  # where there are no motion limits
     effort: float  # [N m] the active effort
     stamp_ns: int  # of the last state
+    position: float  # [rad] of the last state
+    unwrapper: Unwrapper | None  # of an encoder that wraps
+    step_max: float  # [rad] what a position may differ from the last one at any time
+    speed_max: float  # [rad/s] and for the time between
     duration: float  # [s]
 
     def __post_init__(self) -> None:
@@ -34,7 +38,8 @@ class DampingStop:
     def step(self, stamp_ns: int, position: float, velocity: float | None = None) -> float:
         """Take one state and return the effort that answers it in [N m]; see ``JointLoop.step``.
 
-        A state that cannot be used, or that is not later than the last one, gets none.
+        A state that cannot be used, that is not later than the last one, or whose position the
+        joint cannot have reached, gets none.
         """
         if not self.uses_velocity:
             velocity = None
@@ -43,7 +48,12 @@ class DampingStop:
         if dt <= 0.0 or not all(-LARGEST_POSITION <= each <= LARGEST_POSITION for each in numbers):
             self.effort = 0.0
             return 0.0
-        self.stamp_ns = stamp_ns
+        if self.unwrapper is not None:
+            position = self.unwrapper.update(position)
+        if abs(position - self.position) > self.step_max + self.speed_max * dt:
+            self.effort = 0.0
+            return 0.0
+        self.stamp_ns, self.position = stamp_ns, position
         rate = self.velocity.update(position, velocity, dt)
         passed = (stamp_ns - self._begin_ns) * SECONDS_PER_NANOSECOND / self.duration
         wanted = -self.damping * rate * max(0.0, 1.0 - passed)

@@ -186,3 +186,40 @@ def test_a_trajectory_is_taken_whole_turns_away_and_runs_on_as_it_is():
     for k in range(1, 600):
         loop.step(9 * SECOND + k * MS, 0.1, 0.0)
     assert loop.reference[0] == pytest.approx(9.5 - math.tau, abs=1e-9)
+
+
+@pytest.mark.parametrize("source", ["filtered", "observer"])
+def test_a_damping_stop_is_that_of_an_encoder_that_counts(source):
+    """The joint turns twice before it and once in it."""
+    values = {"velocity_source": source, "inertia": 1.0, "law": "pid", "multi_turn": True}
+    wrapping, counting = loop_on(encoder_wrap=math.tau, **values), loop_on(**values)
+
+    def places():
+        for k in range(1, 2000):
+            place = 12.0 * k * 1e-3
+            yield k * MS, place, math.remainder(place, math.tau)
+
+    states = places()
+    for _ in range(1200):
+        stamp_ns, place, wrapped = next(states)
+        wrapping.step(stamp_ns, wrapped)
+        counting.step(stamp_ns, place)
+    ours, theirs = wrapping.damping_stop(0.6), counting.damping_stop(0.6)
+    efforts = []
+    for stamp_ns, place, wrapped in states:
+        efforts.append(theirs.step(stamp_ns, place))
+        assert ours.step(stamp_ns, wrapped) == pytest.approx(efforts[-1], abs=1e-6)
+    assert efforts[0] == pytest.approx(-20.0 * 12.0, rel=0.1)
+    assert efforts[-1] == 0.0
+
+
+def test_a_damping_stop_gives_nothing_where_no_joint_can_have_come():
+    loop, twin = (loop_on(velocity_source="filtered", velocity_max=20.0) for _ in range(2))
+    for k in range(100):
+        for each in (loop, twin):
+            each.step(k * MS, 2.0 * k * 1e-3)
+    stop, steady = loop.damping_stop(0.5), twin.damping_stop(0.5)
+    for k in range(100, 110):
+        assert stop.step(k * MS, 2.0 * k * 1e-3) == steady.step(k * MS, 2.0 * k * 1e-3) < 0.0
+    assert stop.step(110 * MS, 0.22 + 1.0) == 0.0
+    assert stop.step(111 * MS, 0.222) == pytest.approx(steady.step(111 * MS, 0.222))
