@@ -75,6 +75,7 @@ class Snapshot(NamedTuple):
 
     stamp_ns: int
     takeovers: int
+    missed: int
     settings: LoopSettings
     following: Following
     feedforward: Feedforward
@@ -517,6 +518,7 @@ class JointLoop:
             self._before_gap = Snapshot(
                 stamp_ns=self.stamp_ns,
                 takeovers=self.counts.takeovers,
+                missed=self.counts.missed,
                 settings=self.settings,
                 following=copy(self._following),
                 feedforward=copy(self._feedforward),
@@ -545,7 +547,8 @@ class JointLoop:
             self._estimation.restore_source(before.velocity)
             self._feedforward = before.feedforward
         self._law.restore_integral(before.integral)
-        self.counts.takeovers = before.takeovers
+        self._adopt(self.settings)  # of the reference that was, too
+        self.counts.takeovers, self.counts.missed = before.takeovers, before.missed
         return before.stamp_ns
 
     def _check_jump(self, stamp_ns: int, position: float, dt: float) -> float | None:

@@ -208,7 +208,7 @@ def test_a_single_stamp_from_the_future_is_a_gap_and_no_more(position):
     loop.step(3_600_000 * MS, position, 0.0)
     efforts = [each.step(200 * MS, 0.2, 0.0) for each in (loop, twin)]
     assert efforts[0] == pytest.approx(efforts[1])  # integral and motion are as they were
-    assert (loop.counts.resets, loop.counts.takeovers) == (0, 0)
+    assert (loop.counts.resets, loop.counts.takeovers, loop.counts.missed) == (0, 0, 0)
     assert run(loop, 201, 400, 0.2) == pytest.approx(run(twin, 201, 400, 0.2))
 
 

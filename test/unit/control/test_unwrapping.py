@@ -223,3 +223,14 @@ def test_a_damping_stop_gives_nothing_where_no_joint_can_have_come():
         assert stop.step(k * MS, 2.0 * k * 1e-3) == steady.step(k * MS, 2.0 * k * 1e-3) < 0.0
     assert stop.step(110 * MS, 0.22 + 1.0) == 0.0
     assert stop.step(111 * MS, 0.222) == pytest.approx(steady.step(111 * MS, 0.222))
+
+
+def test_what_is_set_after_a_stamp_from_the_future_holds_when_it_is_forgotten():
+    loop = loop_on(Setpoint(0.0), law="pid")
+    for stamp_ns in (0, MS, 3600 * SECOND):
+        loop.step(stamp_ns, 0.0, 0.0)
+    loop.retune(settings(angle_wraparound=True))
+    loop.step(2 * MS, 0.0, 0.0)
+    loop.follow(Setpoint(6.0))
+    loop.step(3 * MS, 0.0, 0.0)
+    assert loop.reference[0] == pytest.approx(6.0 - math.tau)
