@@ -114,11 +114,11 @@ class _Law:
         """Return time, norm and multiplier of rows of time, error and rate; nan for a PID."""
         if self._limits is None:
             return np.column_stack([errors[:, 0], *(np.full(len(errors), np.nan),) * 2])
-        mu = self.settings.mu
+        degree = self.settings.degree
         found = np.array([self._of(error, rate) for _, error, rate in errors.tolist()])
         held = np.clip(found, *self._limits)
         with np.errstate(divide="ignore"):
-            return np.column_stack([errors[:, 0], found, held**mu])
+            return np.column_stack([errors[:, 0], found, held**degree])
 
     def _of(self, error: float, rate: float) -> float:
         try:
