@@ -48,7 +48,7 @@ def test_activation_holds_the_joint_where_it_is_whatever_was_before(harness):
 
     def refuses():  # again and again: what is sent before both ends are matched is lost
         setpoint.publish(Float64(data=3.0))
-        return int(told.newest().get("refused references", 0)) > 0
+        return told.count("refused references") > 0
 
     harness.wait(refuses, what="the refusal to be told")  # nor will it move the joint later
     assert told.says(lifecycle="inactive")
@@ -155,9 +155,7 @@ def test_silence_gets_the_fallback_effort_is_told_and_ends_in_a_takeover(harness
         lambda: harness.commands[-1].stamp_ns == MS + 1, within=5.0, what="the fallback effort"
     )
     assert harness.commands[-1].effort == (1.5,)
-    harness.wait(
-        lambda: int(told.newest()["silences"]) > 0, within=0.9, what="the silence to be told"
-    )
+    harness.wait(lambda: told.count("silences") > 0, within=0.9, what="the silence to be told")
     assert told.newest()["level"] == DiagnosticStatus.ERROR
     assert re.fullmatch(
         r"no new state for [0-9.]+ s: the effort is 1.5 N m", told.newest()["last fault"]
@@ -165,7 +163,7 @@ def test_silence_gets_the_fallback_effort_is_told_and_ends_in_a_takeover(harness
     assert told.newest()["message"] == "no new state within state_timeout"
     assert harness.ask(900 * MS, -0.9) == 1.5  # from where it is, with what is in force
     assert harness.ask(901 * MS, -0.9) == pytest.approx(1.5)
-    harness.wait(lambda: told.says(takeovers="1"), what="the takeover to be told")
+    harness.wait(lambda: told.count("takeovers") > 0, what="the takeover to be told")
     faults.count("silences of the states")
 
 
@@ -242,7 +240,7 @@ def test_bytes_that_are_no_reference_are_refused_and_reported(harness, faults):
             nonlocal refused
             for raw in garbage:
                 publisher.publish(raw)
-            refused = int(told.newest().get("refused references", 0))
+            refused = told.count("refused references")
             return refused >= before + len(garbage)
 
         harness.wait(refuses, what="refusals")

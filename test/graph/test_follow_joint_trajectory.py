@@ -4,6 +4,7 @@ import itertools
 import math
 import os
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -64,9 +65,9 @@ def seconds(point):
 def require_smooth(joints, fastest, most, since=0.0):
     """Require that references neither jump nor accelerate more than they may."""
     for joint in joints.joints:
-        for time, distance, change in steps(joints, joint, since):
-            assert abs(distance) <= fastest * time + 1e-9, joint
-            assert abs(change) <= most * time + 1e-9, joint
+        for elapsed, distance, change in steps(joints, joint, since):
+            assert abs(distance) <= fastest * elapsed + 1e-9, joint
+            assert abs(change) <= most * elapsed + 1e-9, joint
 
 
 def come_to_rest(joints, within=5.0):
@@ -217,10 +218,15 @@ def test_a_server_that_stands_still_leaves_the_joints_on_their_way_to_rest(joint
     handle = client.send(slowly())
     joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
     os.kill(processes.action.process.pid, signal.SIGSTOP)
-    joints.run(lambda: joints.position["shoulder"] > 0.9, what="the joints to go on")
+    awake = time.monotonic() + 1.0  # also where late states follow each other faster than time
+    joints.run(
+        lambda: joints.position["shoulder"] > 0.9 and time.monotonic() > awake,
+        what="the joints to go on",
+    )
     os.kill(processes.action.process.pid, signal.SIGCONT)
     assert client.result(handle) == (SUCCEEDED, 0, "goal reached")
-    joints.run(lambda: told.says(times_stood_still="1"), what="the report")
+    # A machine that stands still does this once more.
+    joints.run(lambda: told.count("times stood still") > 0, what="the report")
     require_smooth(joints, 1.5, 6.0)
 
 

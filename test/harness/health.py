@@ -34,6 +34,10 @@ class Told:
         figures = {pair.key: pair.value for pair in newest.values}
         return {"message": newest.message, "level": newest.level, **figures}
 
+    def count(self, key):
+        """Return one of the newest figures as a number; 0 before the first."""
+        return int(self.newest().get(key, 0))
+
     def says(self, **figures):
         """Tell whether the newest figures are these; ``_`` stands for a blank."""
         newest = self.newest()
