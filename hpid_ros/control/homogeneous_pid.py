@@ -130,6 +130,15 @@ class Pid:
         self._integral = self._integral_used = 0.0
         self._proportional = self._derivative = 0.0
 
+    def continue_from(self, other: Pid) -> None:
+        """Go on with another law's integral and last terms.
+
+        Args:
+            other: The law until now.
+        """
+        self._integral, self._integral_used = other._integral, other._integral_used
+        self._proportional, self._derivative = other._proportional, other._derivative
+
     def restore_integral(self, integral: float) -> None:
         """Replace the integral term, as anti-windup and a change of law do.
 

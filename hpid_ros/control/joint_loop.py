@@ -200,8 +200,8 @@ class JointLoop:
         position = None if self.stamp_ns is None else self._position
         estimation.retune(settings, position, law.driving_effort, law.gain)
         law.retune(settings, None if position is None else (position, estimation.velocity))
-        if less := estimation.update_fed_effort(law.gain):
-            law.absorb_model_effort(less)
+        less = estimation.update_fed_effort(law.gain)
+        law.reduce_model_effort(less)
         change = self._feedforward.retune(
             feedforward_gains(settings), following.velocity, following.acceleration
         )
@@ -211,8 +211,8 @@ class JointLoop:
             else:
                 self._unwrapper.restart_after(max(settings.encoder.wrap, 0.0) or math.inf)
         self._adopt(settings)
-        if change:
-            self._compensate_jump(change, self.stamp_ns or 0)
+        if change != less:
+            self._compensate_jump(change - less, self.stamp_ns or 0)
         if self.is_on_fallback:
             law.override_effort(settings.effort.fallback)
 
@@ -419,12 +419,15 @@ class JointLoop:
         if self._feedforward.is_active or following.gives_effort:
             feedforward = self._feed_forward(stamp_ns, is_takeover=is_takeover)
         if is_takeover:
-            law.restart(
+            left = law.restart(
                 model=model,
                 acceleration=acceleration,
                 feedforward=feedforward,
                 keeps_damping=dt > 0.0,
             )
+            if left:
+                self._feedforward.keep(left, stamp_ns, self._takeover_time)
+                feedforward += left
         self.error = error = wanted - estimation.position
         if self._refused_ns is not None:
             dt = min(dt, self._timing.control_period)  # what was not seen is not integrated

@@ -75,12 +75,14 @@ class LimitedLaw:
     def retune(self, settings: LoopSettings, motion: tuple[float, float] | None) -> None:
         """Apply other settings; the integral stays, and the effort is within the limits."""
         law = make_law(settings)
-        law.restore_integral(self._law.integral)
+        law.continue_from(self._law)
         limits = make_motion_limits(settings)
         effort = settings.effort.within(self.effort)
         if limits is not None and motion is not None:
             limits.replace(self.limits, motion[0])
+            braked = limits.braked
             effort = limits.limit(effort, *motion, before=effort, dt=0.0)
+            limits.braked = braked  # this is no sample
         self._adopt(settings, limits)
         self._law = law
         self.override_effort(effort)
@@ -90,11 +92,8 @@ class LimitedLaw:
         """The active effort without the model's own, in the law's units."""
         return (self.effort - self._model_offset) / self.gain
 
-    def absorb_model_effort(self, effort: float) -> None:
-        """Let the integral term give what a model's effort has given until now."""
-        least, most = self._integral_clamp
-        integral = self._law.integral + effort / self.gain
-        self._law.restore_integral(min(max(integral, least), most))
+    def reduce_model_effort(self, effort: float) -> None:
+        """Count so much less of the active effort as the model's."""
         self.model_effort -= effort
         self._model_offset -= effort
 
@@ -125,8 +124,11 @@ class LimitedLaw:
         acceleration: float,
         feedforward: float,
         keeps_damping: bool,
-    ) -> None:
-        """Start again with the active effort, by choice of the integral."""
+    ) -> float:
+        """Start again with the active effort, by choice of the integral.
+
+        Return what the integral may not give of it, in [N m]: nothing would take it away again.
+        """
         law, (least, most) = self._law, self._clamp
         integral = self.effort
         if keeps_damping and not self._is_external:
@@ -134,13 +136,17 @@ class LimitedLaw:
             rest = terms.p + terms.i + self.model_effort + self._feedforward
             integral = min(max(rest, least), most)
         integral -= feedforward
+        gain = 1.0
         if model is not None:
-            integral = (integral - model.effort) / model.gain
+            gain = model.gain
+            integral = (integral - model.effort) / gain
             if model.follows_acceleration:
                 integral -= acceleration
         law.reset()
-        least, most = self._integral_clamp
-        law.restore_integral(min(max(integral, least), most))
+        if self._has_integral:
+            least, most = self._integral_clamp
+            law.restore_integral(min(max(integral, least), most))
+        return gain * (integral - law.integral)
 
     def update(
         self,
@@ -157,12 +163,14 @@ class LimitedLaw:
         """Take one sample: position and velocity for the limits, the rest for the effort."""
         law = self._law
         before = law.integral
-        gain = 1.0
         try:
             wanted = law.update(error, error_rate, dt)
         except OverflowError:  # a power of an absurd but finite error
             wanted = math.inf
-        if model is not None:
+        if model is None:
+            self.gain = gain = 1.0
+            self.model_effort = self._model_offset = 0.0
+        else:
             self.gain = gain = model.gain
             self._model_offset = added = model.effort
             if model.follows_acceleration:

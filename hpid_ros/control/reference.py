@@ -45,7 +45,8 @@ class Feedforward:
     """Feeds the effort of a reference forward, and keeps its changes from becoming jumps.
 
     Where another motion, or a parameter, changes the effort although the reference does not, the
-    loop's integral takes the difference; what it cannot take is kept here, and fades.
+    loop's integral takes the difference, and at a takeover the active effort; what it cannot take
+    is kept here, and fades.
     """
 
     __slots__ = (
@@ -110,7 +111,8 @@ class Feedforward:
         return change
 
     def keep(self, effort: float, stamp_ns: int, duration: float) -> None:
-        """Add an effort that fades."""
+        """Add an effort that fades from now on."""
+        self.effort += effort
         self._fading = effort + (self._fading_effort(stamp_ns) if self._fading else 0.0)
         self._fade_begin_ns = stamp_ns
         self._fade_end_ns = stamp_ns + max(round(duration / SECONDS_PER_NANOSECOND), 1)

@@ -95,7 +95,8 @@ class NormSettings(Record, prefix="norm."):
     )
     floor: float = quantity(
         "Least value of the norm; 0 is the paper's law exactly, -1 computes it from "
-        "encoder_resolution, velocity_filter_time_constant and control_period",
+        "encoder_resolution, velocity_filter_time_constant and control_period, and for mu < 0 "
+        "from gains.d, mu and inertia (while that is unknown, 1 kg m^2: too low a floor for less)",
         default=-1.0,
         least=-1.0,
         most=LARGEST_NORM,
@@ -613,6 +614,16 @@ class LoopSettings(Record):
             resolution=self.encoder.resolution,
             filter_time_constant=self.velocity.filter_time_constant,
             cap=self.norm.cap,
+        )
+
+    @property
+    def floor_warning(self) -> str:
+        """What speaks against the norm's automatic floor; empty if nothing does."""
+        if self.degree >= 0.0 or self.norm.floor >= 0.0 or self.plant_inertia or not self.gains.d:
+            return ""
+        return (
+            f"the inertia is unknown: the norm's floor for mu = {self.mu:g} is that of 1 kg m^2, "
+            "and a lighter joint may chatter near its target; give inertia, or norm.floor"
         )
 
 

@@ -165,8 +165,9 @@ class JointController(ManagedNode):
         """Configure: subscribe to references."""
         self._stopping.end()
         self._loop.release()
-        if self._loop.velocity_warning:
-            self.get_logger().warning(self._loop.velocity_warning)
+        for warning in (self._loop.velocity_warning, self._loop.settings.floor_warning):
+            if warning:
+                self.get_logger().warning(warning)
         self._references = ControllerReferences(
             self,
             self.joint,
@@ -341,6 +342,8 @@ class JointController(ManagedNode):
         if not concern_the_loop(changes):
             return
         settings = self._tuning.with_changes(changes)
+        if settings.floor_warning and not self._loop.settings.floor_warning:
+            self.get_logger().warning(settings.floor_warning)
         self._loop.retune(settings)
         if self._model is not None:
             self._model.retune(settings)

@@ -41,11 +41,18 @@ def test_an_observers_estimate_is_published_and_a_lack_of_inertia_is_told(harnes
         DiagnosticArray, "/diagnostics", lambda each: reports.extend(each.status), RARE
     )
     values = {"law": "pid", "velocity_source": "observer", "velocity_filter_time_constant": 0.01}
-    harness.start_controller(introspection_rate=-1.0, **values, **GAINS)
+    controller = harness.start_controller(introspection_rate=-1.0, **values, **GAINS)
     twin = pure_loop(**values, **GAINS)
     for state in states(20):
         assert harness.ask(*state) == twin.step(*state)
     assert not estimates
+    changes = {"law": "hpid", "mu": -0.2}, {"law": "pid"}
+    for change in changes:
+        assert harness.set_parameters("elbow_controller", **change) == (True, "")
+    harness.wait(
+        lambda: controller.log.read_text().count("norm's floor for mu = -0.2") == 1,
+        what="the warning of the floor",
+    )
     harness.wait(
         lambda: any("needs the parameter inertia" in each.message for each in reports),
         what="the warning",

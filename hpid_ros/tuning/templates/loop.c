@@ -22,6 +22,7 @@ typedef {{ c }}_settings_type Settings;
 typedef {{ c }}_coefficients Coefficients;
 typedef {{ c }}_estimate Estimate;
 typedef {{ c }}_passage Passage;
+typedef {{ c }}_fade Fade;
 typedef {{ c }}_state State;
 
 #define REAL(number) {{ C }}_REAL(number)
@@ -335,23 +336,48 @@ static void give(State *loop, Real effort)
     loop->own.is_given = true;
 }
 
-/* Begin anew with the effort in force: the integral becomes what it needs. */
-static void take_over(State *loop, bool is_still_damped)
+/*
+ * Begin anew with the effort in force: the integral becomes what it needs, and
+ * what it may not give fades, as nothing would take it away again.
+ */
+static void take_over(State *loop, int64_t stamp_ns, bool is_still_damped)
 {
     const Settings *s = &loop->settings;
-    Real integral = loop->effort;
+    Fade *fade = &loop->own.fade;
+    Real wanted = loop->effort;
     if (is_still_damped && !loop->own.is_given)
-        integral = clamped(loop->term_p + loop->term_i, s->u_clamp_min, s->u_clamp_max);
-    loop->integral = clamped(integral, s->i_clamp_min, s->i_clamp_max);
+        wanted = clamped(loop->term_p + loop->term_i + loop->own.added, s->u_clamp_min,
+            s->u_clamp_max);
+    loop->integral = s->gains_i > 0 ? clamped(wanted, s->i_clamp_min, s->i_clamp_max) : REAL(0.0);
+    fade->effort = wanted - loop->integral;
+    fade->begin_ns = stamp_ns;
+    fade->duration_ns = loop->own.coefficients.glide_ns > 0 ? loop->own.coefficients.glide_ns : 1;
+}
+
+/* Return what is left of an effort that fades [N m]. */
+static Real fading(Fade *fade, int64_t stamp_ns)
+{
+    uint64_t passed = (uint64_t)stamp_ns - (uint64_t)fade->begin_ns;
+    if (fade->effort == 0 || stamp_ns <= fade->begin_ns)
+        return fade->effort;
+    if (passed >= (uint64_t)fade->duration_ns) {
+        fade->effort = 0;
+        return 0;
+    }
+    return fade->effort *
+        ((Real)((uint64_t)fade->duration_ns - passed) / (Real)fade->duration_ns);
 }
 
 /* Put the law's effort, limited, in force; false, and nothing changes, if it is not finite. */
-static bool update(State *loop, Real error_rate, Real dt)
+static bool update(State *loop, Real error_rate, Real dt, Real added)
 {
     const Settings *s = &loop->settings;
     Real before = loop->integral, error = loop->error;
     Real wanted = law(loop, error, error_rate, dt);
     Real after = loop->integral, effort;
+    loop->own.added = added;
+    if (added != 0)
+        wanted += added;
     if (!is_finite(wanted) || !is_finite(after)) {
         loop->integral = before;
         return false;
@@ -720,6 +746,7 @@ static void interrupt(State *loop, Real since)
         loop->own.past_integral = loop->integral;
         loop->own.past_estimate = loop->own.estimate;
         loop->own.past_passage = loop->own.passage;
+        loop->own.past_fade = loop->own.fade;
         loop->own.is_takeover_due = true;
         if (!loop->own.has_wrapped) /* it is not known that the encoder ever does */
             loop->own.has_encoder = false;
@@ -739,6 +766,7 @@ static int64_t settle_gap(State *loop, int64_t stamp_ns)
     loop->integral = loop->own.past_integral;
     loop->own.estimate = loop->own.past_estimate;
     loop->own.passage = loop->own.past_passage;
+    loop->own.fade = loop->own.past_fade;
     return loop->own.past_ns;
 }
 
@@ -782,7 +810,7 @@ static void begin(State *loop, int64_t stamp_ns, Real wanted, Real rate, bool is
     begin_passage(loop, stamp_ns, wanted, rate);
     if (is_takeover) {
         reset_estimate(loop);
-        take_over(loop, is_next);
+        take_over(loop, stamp_ns, is_next);
     }
 }
 
@@ -807,7 +835,8 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
     loop->condition = {{ C }}_FOLLOWING;
     loop->velocity = velocity_at(loop, position, velocity, dt);
     loop->error = loop->reference_position - position;
-    if (!update(loop, loop->reference_velocity - loop->velocity, elapsed)) {
+    if (!update(loop, loop->reference_velocity - loop->velocity, elapsed,
+            fading(&loop->own.fade, stamp_ns))) {
         reset_estimate(loop);
         return fault(loop, stamp_ns);
     }
@@ -869,6 +898,7 @@ bool {{ c }}_init({{ c }}_state *loop, const {{ c }}_settings_type *settings)
 void {{ c }}_reset({{ c }}_state *loop)
 {
     static const Passage none = {0};
+    static const Fade nothing = {0};
     loop->condition = {{ C }}_WAITING;
     loop->integral = loop->term_p = loop->term_i = loop->term_d = 0;
     loop->position = loop->velocity = loop->error = 0;
@@ -878,6 +908,8 @@ void {{ c }}_reset({{ c }}_state *loop)
     reset_estimate(loop);
     reset_encoder(loop);
     loop->own.passage = none;
+    loop->own.fade = nothing;
+    loop->own.added = 0;
     loop->own.has_stamp = loop->own.has_unusable = loop->own.is_astray = false;
     loop->own.is_takeover_due = loop->own.has_past = false;
 }
@@ -906,7 +938,8 @@ bool {{ c }}_retune({{ c }}_state *loop, const {{ c }}_settings_type *settings)
         loop->own.has_unwrapper = true;
         reset_encoder(loop);
     }
-    loop->term_p = loop->term_i = loop->term_d = 0;
+    loop->own.past_estimate = loop->own.estimate; /* what was before a gap went by other settings */
+    loop->own.past_fade = loop->own.fade;
     loop->effort = clamped(loop->effort, now->u_clamp_min, now->u_clamp_max);
     if (next.has_limits && loop->own.has_stamp) {
         if (!same_stops)

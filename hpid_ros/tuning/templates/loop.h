@@ -122,6 +122,13 @@ typedef struct {{ c }}_passage {
     {{ c }}_real turns;    /* whole turns between reference and joint [rad] */
 } {{ c }}_passage;
 
+/* An effort that fades after a takeover, where no integral may give it. */
+typedef struct {{ c }}_fade {
+    {{ c }}_real effort; /* at its beginning [N m] */
+    int64_t begin_ns;
+    int64_t duration_ns;
+} {{ c }}_fade;
+
 /*
  * The state of a loop. A firmware may read what stands before "own"; all of it
  * is written by the functions below alone.
@@ -159,11 +166,14 @@ typedef struct {{ c }}_state {
         {{ c }}_real low, high; /* stops in force [rad] */
         {{ c }}_estimate estimate;
         {{ c }}_passage passage;
+        {{ c }}_fade fade;
+        {{ c }}_real added;          /* to the terms of the last sample [N m] */
         bool has_past;               /* the last state came after a gap: */
         int64_t past_ns;             /* what the loop was before it */
         {{ c }}_real past_integral;  /* [N m] */
         {{ c }}_estimate past_estimate;
         {{ c }}_passage past_passage;
+        {{ c }}_fade past_fade;
         {{ c }}_coefficients coefficients;
     } own;
 } {{ c }}_state;

@@ -97,6 +97,35 @@ def test_what_no_integral_may_give_up_fades_in(values, rest, integral):
     assert loop.integral == integral
 
 
+@pytest.mark.parametrize(
+    ("values", "integral"),
+    [
+        ({"gains__p": 10.0}, 0.0),
+        ({**PID, "gains__i": 0.0}, 0.0),
+        ({**PID, "i_clamp_min": -1.0, "i_clamp_max": 1.0}, 1.0),
+    ],
+)
+def test_what_no_integral_may_give_after_a_takeover_fades(values, integral):
+    loop = pure_loop(Setpoint(0.0), **{"law": "pid", "takeover_time": 0.2, **values})
+    at_rest(loop, 0, 10)
+    loop.supersede(5.0)
+    efforts = at_rest(loop, 10, 400)
+    assert efforts[0] == pytest.approx(5.0)
+    assert max(abs(b - a) for a, b in pairwise(efforts)) <= (5.0 - integral) / 200 + 1e-6
+    assert efforts[-1] == pytest.approx(integral) == loop.integral
+
+
+def test_the_terms_of_the_last_sample_stay_and_it_is_not_counted_again_where_parameters_are_set():
+    loop = pure_loop(Setpoint(0.0), **PID, velocity_max=1.0)
+    loop.step(0, 0.0, 0.0)
+    loop.step(MS, 0.01, 2.0)
+    terms, counts = loop.terms, (loop.braked, loop.counts.saturated)
+    assert terms.p
+    assert counts[0] == 1
+    loop.retune(loop.settings.with_parameters({"gains.p": 100.0}))
+    assert (loop.terms, (loop.braked, loop.counts.saturated)) == (terms, counts)
+
+
 MOTIONS = {
     "setpoint": lambda efforts: Setpoint(0.0),
     "weight": lambda efforts: held(*efforts),

@@ -194,6 +194,21 @@ def test_every_parameter_has_a_description_and_a_range_that_holds_its_default():
             assert math.isfinite(spec.minimum + spec.maximum)
 
 
+@pytest.mark.parametrize(
+    ("changes", "warns"),
+    [
+        ({}, True),
+        ({"inertia": 0.1}, False),
+        ({"mu": 0.1}, False),
+        ({"law": "pid"}, False),
+        ({"norm__floor": 0.1}, False),
+    ],
+)
+def test_a_floor_that_rests_on_an_unknown_inertia_is_warned_of(changes, warns):
+    values = {"gains__p": 40.0, "gains__d": 4.0, "mu": -0.2, **changes}
+    assert bool(loop_settings(**values).floor_warning) == warns
+
+
 def test_settings_are_not_changed_by_changing_them():
     settings = loop_settings(norm__error_scale=0.5)
     assert settings.norm_floor == settings.norm_floor

@@ -2,6 +2,7 @@
 
 import math
 import random
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -330,6 +331,18 @@ def test_a_disturbance_is_fed_and_left_alone_again_without_a_kick(model):
         assert loop.integral == pytest.approx(0.0 if is_on else own, abs=0.01)
         for _ in range(200):
             assert step() == pytest.approx(effort, abs=1e-3)
+
+
+def test_what_was_fed_against_a_disturbance_fades_where_no_integral_may_take_it():
+    loop = loop_of(Setpoint(0.1), gains__i=0.0, observer__feed_disturbance=True)
+    joint = joint_of(load=-8.0)
+    effort = drive(loop, joint, 3000)[-1]
+    assert (effort, loop.error) == (pytest.approx(8.0, abs=1e-3), pytest.approx(0.0, abs=1e-4))
+    loop.retune(loop.settings.with_parameters({"observer.feed_disturbance": False}))
+    efforts = [effort, *drive(loop, joint, 3000)]
+    assert max(abs(b - a) for a, b in pairwise(efforts)) < 0.05
+    assert loop.integral == 0.0
+    assert loop.error == pytest.approx(8.0 / loop.settings.gains.p, rel=1e-3)
 
 
 def test_with_decoupling_only_what_the_model_does_not_know_is_a_disturbance():
