@@ -564,6 +564,12 @@ static bool are_in_range(const Settings *s)
 {% endfor %}
 }
 
+/* Whether a value is -1, which chooses by itself, or at least so large. */
+static bool is_automatic_or(Real value, Real least)
+{
+    return value == REAL(-1.0) || value >= least;
+}
+
 /* Whether the values go together, as far as the norm is not concerned. */
 static bool are_consistent(const Settings *s)
 {
@@ -571,7 +577,8 @@ static bool are_consistent(const Settings *s)
     bool is_stable = s->gains_p > 0 && s->gains_d > 0 &&
         s->gains_p * s->gains_d > s->inertia * s->gains_i;
     return s->u_clamp_min <= s->u_clamp_max && s->i_clamp_min <= s->i_clamp_max &&
-        !(s->encoder_wrap > 0 && s->encoder_wrap < LEAST_WRAP) &&
+        is_automatic_or(s->encoder_wrap, s->encoder_wrap == 0 ? REAL(0.0) : LEAST_WRAP) &&
+        is_automatic_or(s->norm_floor, REAL(0.0)) &&
         s->position_min <= s->position_max && !(s->angle_wraparound && (has_stop || s->multi_turn)) &&
         s->state_timeout * SLACK >= REAL(1.5) * s->control_period &&
         REAL(-0.5) < s->mu && s->mu < REAL(0.5) &&
