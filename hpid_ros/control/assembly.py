@@ -38,6 +38,8 @@ def make_norm(settings: LoopSettings) -> WeightedNorm | CanonicalNorm:
 def make_law(settings: LoopSettings) -> Pid | HomogeneousPid:
     """Return the control law, its integral at zero."""
     is_implicit = settings.discretization == "semi_implicit"
+    if settings.law not in ("pid", "hpid"):
+        raise NotImplementedError(f"law {settings.law}")
     if settings.law == "pid" and not is_implicit:
         return Pid(settings.gains)
     norm = settings.norm_family(settings.degree)

@@ -45,7 +45,7 @@ class Estimation:
         self._position_offset = self._fade_time = 0.0  # [rad] of a former observer, [s] to fade it
         self._fed_forward = 0.0  # [N m] of the last sample against the observer's disturbance
 
-    def restart(self) -> None:
+    def forget_velocity(self) -> None:
         """Forget the velocity's past; the effort fed forward stays."""
         self._source.reset()
         self._position_offset = 0.0
@@ -56,14 +56,14 @@ class Estimation:
         return self._observer is not None
 
     def retune(
-        self, settings: LoopSettings, position: float | None, effort: float, gain: float
+        self, settings: LoopSettings, position: float | None, effort: float, model_gain: float
     ) -> None:
         """Use other settings; what is estimated is carried over, with the effort now sent."""
         before, self._settings = self._settings, settings
         design = observer_design(settings)
         if design is not None and self._observer is not None:
             if design != self._observer.design:
-                self.send(effort, gain)
+                self.send(effort, model_gain)
                 self._observer.retune(design)
         elif (
             design is not None
@@ -76,24 +76,24 @@ class Estimation:
                 return
             if self._observer is not None:
                 self._position_offset, position = 0.0, self.position
-                self.send(effort, gain)
+                self.send(effort, model_gain)
             elif observed is not None:
                 self._position_offset = observed - position
                 self._fade_time = settings.timing.takeover_time
             self._source.start_from(position, self.velocity)
 
-    def update_fed_effort(self, gain: float) -> float:
+    def update_fed_effort(self, model_gain: float) -> float:
         """Compute the fed effort again with these settings; return the decrease in [N m]."""
         before, self._fed_forward = self._fed_forward, 0.0
-        return before - (self.feed(gain) if self.feeds_disturbance else 0.0)
+        return before - (self.feed(model_gain) if self.feeds_disturbance else 0.0)
 
-    def send(self, effort: float, gain: float) -> None:
+    def send(self, effort: float, model_gain: float) -> None:
         """Give the observer, if there is one, what acts on the joint from the last sample on.
 
         That is the effort sent without the model's own, over the model's gain.
         """
         if self._observer is not None:
-            self._observer.send(effort + self._fed_forward / gain)
+            self._observer.send(effort + self._fed_forward / model_gain)
 
     def coast(self, dt: float) -> None:
         """Let the observer, if there is one, go on under the effort sent, without a sample."""
@@ -115,10 +115,10 @@ class Estimation:
         """Whether effort against an observed disturbance is fed forward."""
         return self._observer is not None and self._settings.observer.feed_disturbance
 
-    def feed(self, gain: float) -> float:
+    def feed(self, model_gain: float) -> float:
         """Return the effort against the disturbance that the observer estimates, in [N m]."""
         assert self._observer is not None
-        self._fed_forward = -gain * self._observer.effort
+        self._fed_forward = -model_gain * self._observer.effort
         return self._fed_forward
 
     def _fade(self, dt: float) -> float:
@@ -146,12 +146,12 @@ class Estimation:
         source.start_from(position, self.velocity)
         return source
 
-    def observer_state(self, gain: float) -> tuple[float, float, float] | None:
+    def observer_state(self, model_gain: float) -> tuple[float, float, float] | None:
         """Return position [rad], velocity [rad/s] and disturbing effort [N m] by the observer."""
         observer = self._observer
         if observer is None:
             return None
-        return observer.position, observer.velocity, gain * observer.effort
+        return observer.position, observer.velocity, model_gain * observer.effort
 
     @property
     def origin(self) -> str:

@@ -198,9 +198,9 @@ class JointLoop:
         self.end_relay("parameters were set")
         law, estimation, following = self._law, self._estimation, self._following
         position = None if self.stamp_ns is None else self._position
-        estimation.retune(settings, position, law.driving_effort, law.gain)
+        estimation.retune(settings, position, law.driving_effort, law.model_gain)
         law.retune(settings, None if position is None else (position, estimation.velocity))
-        less = estimation.update_fed_effort(law.gain)
+        less = estimation.update_fed_effort(law.model_gain)
         law.reduce_model_effort(less)
         change = self._feedforward.retune(
             feedforward_gains(settings), following.velocity, following.acceleration
@@ -299,7 +299,7 @@ class JointLoop:
     @property
     def estimate(self) -> tuple[float, float, float] | None:
         """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
-        return self._estimation.observer_state(self._law.gain)
+        return self._estimation.observer_state(self._law.model_gain)
 
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
@@ -309,7 +309,7 @@ class JointLoop:
         """
         law, settings = self._law, self.settings
         return DampingStop(
-            damping=law.gain * settings.gains.d,
+            damping=law.model_gain * settings.gains.d,
             velocity=self._estimation.stop_velocity_source(self._position),
             uses_velocity=self._uses_velocity,
             limits=law.limits,
@@ -369,10 +369,9 @@ class JointLoop:
             if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
                 return self.reject(stamp_ns, f"position {position} rad with its turns")
         allowed = self._step_max + self._speed_max * dt
-        if is_next and abs(position - self._position) > allowed:
-            held = self._check_jump(stamp_ns, position, dt)
-            if held is not None:
-                return held
+        has_jumped = is_next and abs(position - self._position) > allowed
+        if has_jumped and not self._is_believed(stamp_ns, position):
+            return self._reject_jump(stamp_ns, position, dt)
         if self._refused_ns is not None:
             self._outlier = None
         self._position = position
@@ -407,7 +406,7 @@ class JointLoop:
         """
         law, following, estimation = self._law, self._following, self._estimation
         if estimation.has_observer:
-            estimation.send(law.driving_effort, law.gain)
+            estimation.send(law.driving_effort, law.model_gain)
         estimation.update(position, velocity, dt)
         if estimation.feeds_disturbance:
             alone = model or _NO_MODEL
@@ -419,11 +418,11 @@ class JointLoop:
         if self._feedforward.is_active or following.gives_effort:
             feedforward = self._feed_forward(stamp_ns, is_takeover=is_takeover)
         if is_takeover:
-            left = law.restart(
+            left = law.take_over(
                 model=model,
                 acceleration=acceleration,
                 feedforward=feedforward,
-                keeps_damping=dt > 0.0,
+                is_next=dt > 0.0,
             )
             if left:
                 self._feedforward.keep(left, stamp_ns, self._takeover_time)
@@ -443,7 +442,7 @@ class JointLoop:
                 feedforward=feedforward,
             )
         except ArithmeticError:
-            estimation.restart()
+            estimation.forget_velocity()
             raise
 
     def _count(self, dt: float) -> None:
@@ -496,7 +495,7 @@ class JointLoop:
             last_ns = self.stamp_ns if self._refused_ns is None else self._refused_ns
             dt = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
             if 0.0 < dt <= self._timing.state_timeout:
-                self._estimation.send(self._law.driving_effort, self._law.gain)
+                self._estimation.send(self._law.driving_effort, self._law.model_gain)
                 self._estimation.coast(dt)
         self._refused_ns = stamp_ns
         self._refused += 1
@@ -554,26 +553,28 @@ class JointLoop:
         self.counts.takeovers, self.counts.missed = before.takeovers, before.missed
         return before.stamp_ns
 
-    def _check_jump(self, stamp_ns: int, position: float, dt: float) -> float | None:
-        """Answer a state whose position is where no joint can have come to, or believe it.
+    def _is_believed(self, stamp_ns: int, position: float) -> bool:
+        """Tell whether to believe a position where no joint can have come to.
 
-        The first one is passed over: the active effort stays. The second is believed, as a
-        takeover, if it is where the first one was. Others are no positions at all.
+        It is believed, as a takeover, if it is where the one before it jumped to.
         """
         if self._is_takeover_due:
-            return None
-        first, self._outlier = self._outlier, (stamp_ns, position)
-        if first is not None:
-            apart = (stamp_ns - first[0]) * SECONDS_PER_NANOSECOND
+            return True
+        if self._outlier is not None:
+            first_ns, first = self._outlier
+            apart = (stamp_ns - first_ns) * SECONDS_PER_NANOSECOND
             allowed = self._step_max + self._speed_max * apart
-            if apart > 0.0 and abs(position - first[1]) <= allowed:
-                self._is_takeover_due = True
-                return None
+            self._is_takeover_due = apart > 0.0 and abs(position - first) <= allowed
+        return self._is_takeover_due
+
+    def _reject_jump(self, stamp_ns: int, position: float, dt: float) -> float:
+        """Pass over the first position that jumped, with the active effort; refuse others."""
+        is_first, self._outlier = self._outlier is None, (stamp_ns, position)
         self.counts.jumps += 1
-        step = f"the position jumped by {abs(position - self._position):g} rad in {dt:g} s"
-        if first is not None:
-            return self.reject(stamp_ns, step)
-        self.last_fault = step
+        jump = f"the position jumped by {abs(position - self._position):g} rad in {dt:g} s"
+        if not is_first:
+            return self.reject(stamp_ns, jump)
+        self.last_fault = jump
         self.counts.rejected += 1
         self._skip(stamp_ns)
         return self._law.effort
@@ -592,7 +593,7 @@ class JointLoop:
         if law.relay is not None:
             self._drop_relay("the joint was taken over again")
             law.override_effort(law.effort)  # the relay's share is in none of the law's terms
-        self._estimation.restart()
+        self._estimation.forget_velocity()
         following.take_over(stamp_ns, position, self._takeover_time)
         return True
 

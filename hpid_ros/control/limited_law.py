@@ -25,15 +25,15 @@ class LimitedLaw:
         "_law",
         "_model_offset",
         "effort",
-        "gain",
         "is_saturated",
         "limits",
         "model_effort",
+        "model_gain",
         "relay",
     )
 
     effort: float  # [N m] the active effort
-    gain: float  # what the model multiplied the law's last output by; 1 without a model
+    model_gain: float  # what the model multiplied the law's last output by; 1 without a model
     model_effort: float  # [N m] what the model added in the last sample, before the limits
     is_saturated: bool  # whether the effort of the last sample was limited
 
@@ -55,13 +55,13 @@ class LimitedLaw:
     @property
     def terms(self) -> Terms:
         """The law's terms of the last sample in [N m], before the limits."""
-        terms, gain = self._law.terms, self.gain
+        terms, gain = self._law.terms, self.model_gain
         return Terms(gain * terms.p, gain * terms.i, gain * terms.d)
 
     @property
     def integral(self) -> float:
         """The integral term that the next sample uses, in [N m]."""
-        return self.gain * self._law.integral
+        return self.model_gain * self._law.integral
 
     @property
     def raw_integral(self) -> float:
@@ -72,16 +72,16 @@ class LimitedLaw:
         """Replace the integral."""
         self._law.restore_integral(integral)
 
-    def retune(self, settings: LoopSettings, motion: tuple[float, float] | None) -> None:
+    def retune(self, settings: LoopSettings, where: tuple[float, float] | None) -> None:
         """Apply other settings; the integral stays, and the effort is within the limits."""
         law = make_law(settings)
         law.continue_from(self._law)
         limits = make_motion_limits(settings)
         effort = settings.effort.within(self.effort)
-        if limits is not None and motion is not None:
-            limits.replace(self.limits, motion[0])
+        if limits is not None and where is not None:  # position and velocity
+            limits.replace(self.limits, where[0])
             braked = limits.braked
-            effort = limits.limit(effort, *motion, before=effort, dt=0.0)
+            effort = limits.limit(effort, *where, before=effort, dt=0.0)
             limits.braked = braked  # this is no sample
         self._adopt(settings, limits)
         self._law = law
@@ -90,7 +90,7 @@ class LimitedLaw:
     @property
     def driving_effort(self) -> float:
         """The active effort without the model's own, in the law's units."""
-        return (self.effort - self._model_offset) / self.gain
+        return (self.effort - self._model_offset) / self.model_gain
 
     def reduce_model_effort(self, effort: float) -> None:
         """Count so much less of the active effort as the model's."""
@@ -102,9 +102,9 @@ class LimitedLaw:
         before = self._law.integral
         if self._has_integral:
             least, most = self._integral_clamp
-            wanted = before - effort / self.gain
+            wanted = before - effort / self.model_gain
             self._law.restore_integral(min(max(wanted, min(least, before)), max(most, before)))
-        return effort + self.gain * (self._law.integral - before)
+        return effort + self.model_gain * (self._law.integral - before)
 
     def override_effort(self, effort: float) -> None:
         """Note an effort that was given, but not computed by the law."""
@@ -114,16 +114,16 @@ class LimitedLaw:
         """Forget the integral, and be without effort."""
         self._law.reset()
         self.override_effort(0.0)
-        self.gain = 1.0
+        self.model_gain = 1.0
         self.model_effort = self._model_offset = self._feedforward = 0.0
 
-    def restart(
+    def take_over(
         self,
         *,
         model: ModelTerm | None,
         acceleration: float,
         feedforward: float,
-        keeps_damping: bool,
+        is_next: bool,
     ) -> float:
         """Start again with the active effort, by choice of the integral.
 
@@ -131,7 +131,7 @@ class LimitedLaw:
         """
         law, (least, most) = self._law, self._clamp
         integral = self.effort
-        if keeps_damping and not self._is_external:
+        if is_next and not self._is_external:
             terms = self.terms
             rest = terms.p + terms.i + self.model_effort + self._feedforward
             integral = min(max(rest, least), most)
@@ -168,10 +168,10 @@ class LimitedLaw:
         except OverflowError:  # a power of an absurd but finite error
             wanted = math.inf
         if model is None:
-            self.gain = gain = 1.0
+            self.model_gain = gain = 1.0
             self.model_effort = self._model_offset = 0.0
         else:
-            self.gain = gain = model.gain
+            self.model_gain = gain = model.gain
             self._model_offset = added = model.effort
             if model.follows_acceleration:
                 added += gain * acceleration

@@ -238,7 +238,7 @@ def sampling_floor(
     norm: WeightedNorm | CanonicalNorm,
     *,
     period: float,
-    derivative_gain: float,
+    damping_rate: float,  # [1/s] kd / m
     resolution: float = 0.0,
     filter_time_constant: float = 0.0,
     cap: float = sys.float_info.max,
@@ -247,7 +247,7 @@ def sampling_floor(
 
     The largest of 1e-6; the norm of two encoder steps in position and of the rate that they
     feign behind the velocity filter; and, for a negative degree, the norm at which the gain
-    multiplier reaches a quarter of what the sampled loop bears, ``T kd lam <= 0.25``.
+    multiplier reaches a quarter of what the sampled loop bears, ``T kd lam / m <= 0.25``.
 
     Source: Livne and Levant, "Proper discretization of homogeneous differentiators" (2014), for
     the principle; the numbers were measured on the sampled double integrator.
@@ -262,14 +262,14 @@ def sampling_floor(
                 f"{feigned:.3g}, must lie below norm.cap = {cap:g}: it is the norm's floor"
             )
         floor = max(floor, feigned)
-    if norm.degree < 0.0 and derivative_gain > 0.0:
+    if norm.degree < 0.0 and damping_rate > 0.0:
         # In logarithms: close to degree zero the floor is too large, or too small, for a number.
-        logarithm = math.log(GOOD_SAMPLING_MARGIN) - math.log(period) - math.log(derivative_gain)
+        logarithm = math.log(GOOD_SAMPLING_MARGIN) - math.log(period) - math.log(damping_rate)
         log_floor = logarithm / norm.degree
         if not log_floor < math.log(cap):
             least = _power_of_ten(log_floor / math.log(10.0))
             raise NormError(
-                f"T kd / m = {period * derivative_gain:g} exceeds {GOOD_SAMPLING_MARGIN:g}, which "
+                f"T kd / m = {period * damping_rate:g} exceeds {GOOD_SAMPLING_MARGIN:g}, which "
                 f"mu = {norm.degree:g} keeps by a norm.floor of {least} alone, and that must lie "
                 f"below norm.cap = {cap:g}: lower gains.d or the period, choose another mu, or "
                 f"set norm.floor"

@@ -35,7 +35,8 @@ from hpid_ros.control.norms import (
 from hpid_ros.control.velocity import LARGEST_DEGREE, LEAST_DEGREE
 
 LawName = Literal["hpid", "pid"]
-"""The homogeneous PID, or the linear one."""
+LAWS: Mapping[LawName, str] = {"pid": "PID", "hpid": "hPID"}
+"""The laws and what they are called; ``make_law`` makes them."""
 
 Discretization = Literal["explicit", "semi_implicit"]
 """Steps of the law, see :mod:`hpid_ros.control.homogeneous_pid`."""
@@ -610,7 +611,7 @@ class LoopSettings(Record):
         return sampling_floor(
             self.norm_family(self.degree),
             period=self.timing.control_period,
-            derivative_gain=self.gains.d / (self.plant_inertia or 1.0),
+            damping_rate=self.gains.d / (self.plant_inertia or 1.0),
             resolution=self.encoder.resolution,
             filter_time_constant=self.velocity.filter_time_constant,
             cap=self.norm.cap,

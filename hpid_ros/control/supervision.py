@@ -25,6 +25,21 @@ class StateTimeout(NamedTuple):
     is_new: bool  # whether it has not been noticed before
 
 
+class _Wait:
+    """The time since a new state; either thread marks what it has done about it."""
+
+    __slots__ = ("begin_ns", "is_answered", "is_noticed")
+
+    def __init__(self, begin_ns: int) -> None:
+        self.begin_ns = begin_ns
+        self.is_answered = False  # an effort was given for want of a state
+        self.is_noticed = False  # the loop was told
+
+    def duration(self, now_ns: int) -> float:
+        """Return how long it lasts in [s]."""
+        return (now_ns - self.begin_ns) / NANOSECONDS
+
+
 class Watchdog:
     """Knows whether the last new state came longer than a timeout ago.
 
@@ -42,9 +57,7 @@ class Watchdog:
     def forget(self) -> None:
         """Look no more, and forget what came."""
         self.timeout = None
-        self._last_ns: int | None = None
-        self._noticed_ns: int | None = None
-        self._given_ns: int | None = None
+        self._wait: _Wait | None = None  # None before the first state
         self._stamp_ns: int | None = None
 
     @property
@@ -55,49 +68,44 @@ class Watchdog:
 
     def time_left(self, now_ns: int) -> float:
         """Return the time in [s] until the next check is due."""
-        timeout = self.timeout  # another thread may change it
+        timeout, wait = self.timeout, self._wait  # another thread may change them
         if timeout is None:
             return math.inf
-        silence = self._silence(now_ns)
-        return self.period if silence > timeout else timeout - silence
+        left = timeout - (wait.duration(now_ns) if wait else 0.0)
+        return self.period if left < 0.0 else left
 
     def is_silent(self, now_ns: int) -> bool:
         """Return whether states are missing; whoever asks gives an effort then."""
-        timeout, last_ns = self.timeout, self._last_ns  # another thread may change them
-        if timeout is None or last_ns is None or now_ns - last_ns <= timeout * NANOSECONDS:
+        timeout, wait = self.timeout, self._wait  # another thread may change them
+        if timeout is None or wait is None or wait.duration(now_ns) <= timeout:
             return False
-        self._given_ns = last_ns
+        wait.is_answered = True
         return True
 
     def look(self, now_ns: int) -> StateTimeout | None:
         """Return the silence that there is."""
-        silence = self._silence(now_ns)
-        if self.timeout is None or silence <= self.timeout:
+        wait = self._wait
+        if self.timeout is None or wait is None or wait.duration(now_ns) <= self.timeout:
             return None
-        is_new, self._noticed_ns = self._noticed_ns != self._last_ns, self._last_ns
-        return StateTimeout(silence, is_new)
+        is_new, wait.is_noticed = not wait.is_noticed, True
+        return StateTimeout(wait.duration(now_ns), is_new)
 
     def note_past_timeout(self, now_ns: int) -> StateTimeout | None:
         """Return a silence in which an effort was given, and which has not been looked at."""
-        if self._given_ns is None or not self._given_ns == self._last_ns != self._noticed_ns:
-            return None
-        return self.look(now_ns)
+        wait = self._wait
+        is_due = wait is not None and wait.is_answered and not wait.is_noticed
+        return self.look(now_ns) if is_due else None
 
     def observe(self, stamp_ns: int, now_ns: int) -> tuple[StateTimeout | None, bool]:
         """Take note of a state; one that repeats the last stamp is not new."""
         if stamp_ns == self._stamp_ns:
             return None, False
-        before_ns, self._stamp_ns, self._last_ns = self._last_ns, stamp_ns, now_ns
-        if self.timeout is None or before_ns is None or before_ns == self._noticed_ns:
+        before, self._wait, self._stamp_ns = self._wait, _Wait(now_ns), stamp_ns
+        if self.timeout is None or before is None or before.is_noticed:
             return None, False
-        silence = (now_ns - before_ns) / NANOSECONDS
-        if before_ns == self._given_ns:
-            return StateTimeout(silence, True), False
-        return None, silence > self.timeout
-
-    def _silence(self, now_ns: int) -> float:
-        """Return the time since the last new state in [s]; 0 before the first."""
-        return 0.0 if self._last_ns is None else (now_ns - self._last_ns) / NANOSECONDS
+        if before.is_answered:
+            return StateTimeout(before.duration(now_ns), True), False
+        return None, before.duration(now_ns) > self.timeout
 
 
 class SupervisedLoop:

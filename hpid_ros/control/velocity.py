@@ -22,9 +22,8 @@ _ROUNDING = 1e-3  # of a turn; a driver's pi need not be exactly half of it
 class Unwrapper:
     """Adds up the increments of an encoder that wraps around.
 
-    A step of more than half a turn between two states is a turn that the encoder has left out,
-    if both positions are such as a wrapping encoder gives: within (-turn/2, turn/2] or
-    [0, turn). Positions of an encoder that counts its turns are left alone.
+    A step of more than half a turn between two states is a turn that the encoder has left out, if
+    both positions lie within a turn of 0, as a wrapping encoder's do.
     """
 
     __slots__ = ("_before", "_has_wrapped", "_largest", "_offset", "_turn")

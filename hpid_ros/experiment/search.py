@@ -13,7 +13,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from statistics import geometric_mean
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import yaml
@@ -22,7 +22,7 @@ from hpid_ros.base.errors import HpidError, RunError, SettingError, unknown_name
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import Numbers, unit_over
 from hpid_ros.control.homogeneous_pid import Gains
-from hpid_ros.control.settings import LawName, LoopSettings
+from hpid_ros.control.settings import LAWS, LawName, LoopSettings
 from hpid_ros.experiment.batch import LAST_ERROR, Runner, RunRecord, RunTask, run_batch
 from hpid_ros.experiment.description import Experiment, flat, nested
 from hpid_ros.experiment.result_folder import ResultFolder, versions
@@ -213,8 +213,8 @@ class SearchSpace:
         A homogeneous search has the baseline's gains; everything else is that of
         :func:`source_label`.
         """
-        if law not in get_args(LawName):
-            raise SettingError(unknown_name("law", law, get_args(LawName)))
+        if law not in LAWS:
+            raise SettingError(unknown_name("law", law, LAWS))
         baseline = experiment.controllers[experiment.baseline]
         source = experiment.controllers[source_label(experiment, law)]
         start = tuple(

@@ -18,6 +18,7 @@ from hpid_ros.cli.options import (
     progress,
     result_announced,
 )
+from hpid_ros.control.settings import LAWS
 from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder
 from hpid_ros.experiment.search import (
     Cost,
@@ -28,8 +29,6 @@ from hpid_ros.experiment.search import (
     SearchSpace,
     WorstExcess,
 )
-
-_LABELS = {"pid": "best PID", "hpid": "best hPID"}
 
 
 def run(options: argparse.Namespace) -> int:
@@ -46,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
             with folder, progress(errors, "points", plan.total) as advanced:
                 folder.write(EXPERIMENT, plan.experiment.text)
                 search = Search(plan, runner, _least_cost(advanced))
-                result = SearchResult(search, options.label or _LABELS[options.law])
+                result = SearchResult(search, options.label or f"best {LAWS[options.law]}")
                 try:
                     search.run()
                 finally:

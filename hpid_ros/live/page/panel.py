@@ -12,7 +12,7 @@ from nicegui import ui
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.records import ParameterSpec
-from hpid_ros.control.settings import LOOP_PARAMETERS
+from hpid_ros.control.settings import LAWS, LOOP_PARAMETERS
 from hpid_ros.live.advice import Advice
 from hpid_ros.live.page.parts import Viewer, button, chart, chart_options, curve, mark
 from hpid_ros.live.page.trial_panel import TrialPanel
@@ -323,7 +323,7 @@ class TuningPanel:
     def _build_tune(self) -> None:
         session, tuning = self._session, self._session.tuning
         self._of = ui.label().classes("heading")
-        self._law = ui.toggle({"pid": "PID", "hpid": "hPID"}, on_change=self._on_law).props(
+        self._law = ui.toggle(dict(LAWS), on_change=self._on_law).props(
             'dense no-caps aria-label="law"'
         )
         self._knobs = {

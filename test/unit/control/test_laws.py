@@ -100,16 +100,16 @@ def test_floor_covers_encoder_steps_and_sampling():
     norm = WeightedNorm(-0.3, 1.0, 0.1)
     sensor = norm(2.0 * step, 2.0 * step / (tau + period))
     common = {"period": period, "resolution": step, "filter_time_constant": tau}
-    assert sampling_floor(norm, derivative_gain=20.0, **common) == pytest.approx(sensor)
-    sampled = sampling_floor(norm, derivative_gain=200.0, **common)
+    assert sampling_floor(norm, damping_rate=20.0, **common) == pytest.approx(sensor)
+    sampled = sampling_floor(norm, damping_rate=200.0, **common)
     assert period * 200.0 * sampled**-0.3 == pytest.approx(0.25)
-    assert sampling_floor(norm, period=period, derivative_gain=0.0) == 1e-6
+    assert sampling_floor(norm, period=period, damping_rate=0.0) == 1e-6
 
 
 @pytest.mark.parametrize("degree", [-0.49, -0.2, -0.01])
 @pytest.mark.parametrize("rate", [1.0, 100.0, 240.0])
 def test_floor_keeps_the_sampled_gain_within_a_quarter(degree, rate):
-    floor = sampling_floor(WeightedNorm(degree, 1.0, 0.1), period=1e-3, derivative_gain=rate)
+    floor = sampling_floor(WeightedNorm(degree, 1.0, 0.1), period=1e-3, damping_rate=rate)
     assert floor == pytest.approx(max(1e-6, (0.25 / (1e-3 * rate)) ** (1.0 / degree)), rel=1e-12)
     assert 1e-3 * rate * floor**degree <= 0.25 * (1.0 + 1e-9)
 
