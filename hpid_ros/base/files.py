@@ -21,8 +21,13 @@ from hpid_ros.base.errors import HpidError, ResultExistsError, SettingError
 
 
 def refuse_output(path: Path, *, force: bool, inputs: Iterable[Path], option: str) -> None:
-    """Refuse a file that is in the way, before any work is done for it."""
+    """Refuse a file that is in the way, or cannot be made, before any work is done for it."""
     if not os.path.lexists(path):
+        folder = next(each for each in path.absolute().parents if os.path.lexists(each))
+        if not folder.is_dir():
+            raise SettingError(f"cannot write {path}: {folder} is no folder")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise SettingError(f"cannot write {path}: permission denied in {folder}")
         return
     if path.is_dir():
         raise ResultExistsError(f"{path} is a folder; name a file with {option}")

@@ -30,3 +30,13 @@ def test_what_is_there_stays_unless_it_is_said_and_an_input_always(tmp_path):
         refuse_outputs(
             [("--json", tmp_path / "new"), ("--plot", there)], force=True, inputs=iter([there])
         )
+
+
+def test_a_place_where_nothing_can_be_made_is_refused_before_any_work(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SettingError, match=r"cannot write .*file/new/x.json: .*file is no folder"):
+        refuse_outputs([("-o", tmp_path / "file" / "new" / "x.json")], force=True, inputs=())
+    refuse_outputs([("-o", tmp_path / "new" / "folder" / "x.json")], force=False, inputs=())
+    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)  # who is not root
+    with pytest.raises(SettingError, match="permission denied in "):
+        refuse_outputs([("-o", tmp_path / "new" / "x.json")], force=False, inputs=())
