@@ -209,7 +209,9 @@ def _bare_bullet(
     stack: ExitStack, description: RobotDescription, world: WorldSettings, torques: Efforts
 ) -> tuple[Callable[[], None], Callable[[], Sequence[float]]]:
     """Return what steps PyBullet through all efforts, and what tells where the joints are."""
-    from hpid_ros.simulation.bullet_scene import Client, build_scene, bullet_urdf, pybullet
+    import pybullet
+
+    from hpid_ros.simulation.bullet import Client, build_scene, bullet_urdf
 
     client = Client()
     stack.callback(client.close)

@@ -73,7 +73,7 @@ class Motor(Record):
     With the supply's voltage this is the torque-speed line, from the stall torque ``k V / R`` to
     the no-load speed ``V / k``. The armature's inductance is left out: its time constant, some
     0.1 ms, is shorter than a physics step. The rotor's inertia is not here: it is in the physics,
-    from the URDF (:mod:`hpid_ros.simulation.bullet_scene`), and so is the gear's ratio.
+    from the URDF (:mod:`hpid_ros.simulation.bullet`), and so is the gear's ratio.
 
     With the drive ``current`` an inner loop makes up for the back EMF as far as the supply
     reaches. ``voltage`` is a bare bridge: it gives the voltage that would give the torque at

@@ -27,7 +27,7 @@ from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 
 if HAS_BULLET:
-    from hpid_ros.simulation.bullet_scene import bullet_urdf
+    from hpid_ros.simulation.bullet import bullet_urdf
 
 NAMES = ["iiwa", "panda"]
 # --- where things are

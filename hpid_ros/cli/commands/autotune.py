@@ -11,9 +11,8 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output
 from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
-from hpid_ros.cli.commands.excite import agreed, new_bag
 from hpid_ros.cli.options import write_output
-from hpid_ros.cli.terminal import output_console
+from hpid_ros.cli.terminal import agreed, new_bag, output_console
 from hpid_ros.control.overrides import RAMP
 from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.live.graph_client import running_graph

@@ -3,46 +3,25 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from hpid_ros.base.errors import ResultExistsError, SettingError
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.options import inertias_from, write_output
-from hpid_ros.cli.terminal import output_console
+from hpid_ros.cli.terminal import agreed, new_bag, output_console
 from hpid_ros.live.controllers import Controller
 from hpid_ros.live.graph_client import running_graph
 from hpid_ros.live.motion import Ending, Tell, bounds_of, carry_out, chosen
 from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan
 from hpid_ros.report.table import TableColumn, WideTable
 from hpid_ros.tuning.identification_report import excitation_figure
-
-
-def agreed(question: str, *, is_given: bool, option: str = "--yes") -> bool:
-    """Ask a person, and return whether the answer is yes."""
-    if is_given:
-        return True
-    if not sys.stdin.isatty():
-        raise SettingError(f"there is no terminal to ask at: {option} answers yes")
-    print(f"{question}? [y/N] ", end="", flush=True)
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
-def new_bag(given: Path | None, kind: str, option: str, *, is_dry: bool) -> Path:
-    """Return where to record: nothing is written over."""
-    bag = given or Path(f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
-    if bag.exists() and not is_dry:
-        raise ResultExistsError(f"{bag} exists; name a new folder with {option}")
-    return bag
-
 
 _FORMATS = (".png", ".pdf", ".svg")
 

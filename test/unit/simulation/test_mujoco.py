@@ -15,7 +15,7 @@ from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics
-from hpid_ros.simulation.mujoco_model import build_model
+from hpid_ros.simulation.mujoco import build_model
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 

@@ -38,7 +38,7 @@ from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 
 if HAS_BULLET:
-    from hpid_ros.simulation.bullet_scene import bullet_urdf, geared, rotor_name
+    from hpid_ros.simulation.bullet import bullet_urdf, geared, rotor_name
 
 PERIOD = 1e-3  # [s]
 
