@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-
 from hpid_ros.control.assembly import make_velocity_source, observer_design
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import FilteredVelocity, MeasuredVelocity, Observer, VelocitySource
@@ -127,15 +125,6 @@ class Estimation:
         self._position_offset *= left / self._fade_time if self._fade_time else 0.0
         self._fade_time = left
         return self._position_offset
-
-    def copy_of_source(self) -> VelocitySource:
-        """Return a copy of the velocity source with its past."""
-        return deepcopy(self._source)
-
-    def restore_source(self, source: VelocitySource) -> None:
-        """Go on with a velocity source as it was."""
-        self._source = source
-        self._observer = source if isinstance(source, Observer) else None
 
     def stop_velocity_source(self, position: float) -> VelocitySource:
         """Return the velocity source of a stop that takes the law's place."""

@@ -159,6 +159,9 @@ class HomogeneousNorm(Protocol):
         """Return the norm of (error, error rate)."""
 
 
+_LARGEST_MULTIPLIER = 1e100  # its cube times a gain is a number, so that it times no error is 0
+
+
 class HomogeneousPid(Pid):
     r"""Homogeneous PID, by forward Euler.
 
@@ -211,7 +214,7 @@ class HomogeneousPid(Pid):
             error_rate: Its time derivative, in [rad/s].
         """
         n = min(max(self.norm(error, error_rate), self.norm_floor), self.norm_cap)
-        return n**self._degree if n else self._at_zero
+        return min(n**self._degree, _LARGEST_MULTIPLIER) if n else self._at_zero
 
     def update(self, error: float, error_rate: float, dt: float) -> float:
         """Take one sample.
@@ -237,6 +240,8 @@ class HomogeneousPid(Pid):
         elif n > self.norm_cap:
             n = self.norm_cap
         multiplier = n**self._degree if n else self._at_zero
+        if multiplier > _LARGEST_MULTIPLIER:
+            multiplier = _LARGEST_MULTIPLIER
         gains, integral = self.gains, self._integral
         square = multiplier * multiplier
         self._proportional = proportional = gains.p * square * error

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
@@ -23,7 +21,6 @@ from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, relay_obstacle
 from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Following, Motion
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.control.velocity import VelocitySource
 
 
 class LoopState(Enum):
@@ -70,19 +67,6 @@ _NO_MODEL = ModelTerm(1.0, 0.0)
 _LATE = 1.5  # control periods between two states; beyond it at least one was lost
 
 
-class Snapshot(NamedTuple):
-    """What a loop was before a stamp that may be wrong."""
-
-    stamp_ns: int
-    takeovers: int
-    missed: int
-    settings: LoopSettings
-    following: Following
-    feedforward: Feedforward
-    velocity: VelocitySource
-    integral: float
-
-
 class JointLoop:
     """The control of one joint, without ROS, files or clocks.
 
@@ -94,8 +78,8 @@ class JointLoop:
     between the stamps, :meth:`note_timeout`, states that cannot be used), and where its position
     jumped, the loop takes over again: it starts from where the joint is, with the active effort
     as its integral (after a jump without its derivative term), and glides onto a motion that is
-    under way. A single stamp from the future, with one after it that continues those before,
-    leaves nothing behind.
+    under way. A gap is believed with its second state: the first gets the active effort, so that
+    a single stamp from the future leaves nothing behind.
 
     Args:
         settings: Checked settings.
@@ -149,12 +133,17 @@ class JointLoop:
                 law has nothing to hold it by.
         """
         law, gains, against = self._law, self.settings.gains, ""
+        speed = abs(self._estimation.velocity)
         if law.relay is not None:
             against = "there is one already"
-        elif self.state not in (LoopState.HOLDING, LoopState.FOLLOWING) or self._is_takeover_due:
+        elif self.state not in (LoopState.HOLDING, LoopState.FOLLOWING):
             against = self.state.value
+        elif self._is_takeover_due:
+            against = "the joint is to be taken over first"
         elif self._following.velocity or self._following.acceleration:
             against = "the reference moves"
+        elif gains.d * speed > request.amplitude:
+            against = f"the joint moves at {speed:.3g} rad/s"
         load = law.integral + law.model_effort + self._feedforward.effort
         against = against or relay_obstacle(request, gains, self.settings.effort, load, self.error)
         if against:
@@ -197,9 +186,10 @@ class JointLoop:
             raise SettingError("compensation and its model cannot change while the loop runs")
         self.end_relay("parameters were set")
         law, estimation, following = self._law, self._estimation, self._following
+        effort = law.effort
         position = None if self.stamp_ns is None else self._position
         estimation.retune(settings, position, law.driving_effort, law.model_gain)
-        law.retune(settings, None if position is None else (position, estimation.velocity))
+        kept = law.retune(settings, None if position is None else (position, estimation.velocity))
         less = estimation.update_fed_effort(law.model_gain)
         law.reduce_model_effort(less)
         change = self._feedforward.retune(
@@ -212,8 +202,10 @@ class JointLoop:
                 self._unwrapper.restart_after(max(settings.encoder.wrap, 0.0) or math.inf)
         self._adopt(settings)
         if change != less:
-            self._compensate_jump(change - less, self.stamp_ns or 0)
-        if self.is_on_fallback:
+            kept -= law.absorb_added_effort(change - less)
+        if kept:
+            self._feedforward.keep(kept, self.stamp_ns or 0, self._takeover_time)
+        if self.is_on_fallback and effort == before.effort.fallback:
             law.override_effort(settings.effort.fallback)
 
     def reset(self) -> None:
@@ -233,7 +225,6 @@ class JointLoop:
         self._position = 0.0
         self.state = LoopState.WAITING
         self._is_takeover_due = False
-        self._before_gap: Snapshot | None = None
         self._outlier: tuple[int, float] | None = None
 
     def release(self) -> None:
@@ -247,7 +238,7 @@ class JointLoop:
         The next state is a takeover. Only where ``state_clock`` is ``simulated`` do the stamps
         alone tell whether time has passed for the joint, too: if that state comes within
         ``state_timeout`` of the last one by its stamp, the simulation was paused, and the loop
-        goes on as if nothing had been.
+        goes on as if nothing had been, but without a relay.
 
         Returns:
             ``fallback_effort``, within the effort limits, in [N m].
@@ -273,11 +264,12 @@ class JointLoop:
         """Note that the joint was given another effort: the next state is a takeover from it.
 
         Args:
-            effort: In [N m].
+            effort: In [N m]; ``fallback_effort`` is taken for one that is not finite.
         """
         self._drop_relay("the joint was given another effort")
         self._is_takeover_due = True
-        self._law.override_effort(effort)
+        fallback = self.settings.effort.fallback
+        self._law.override_effort(effort if math.isfinite(effort) else fallback)
 
     @property
     def is_on_fallback(self) -> bool:
@@ -358,10 +350,10 @@ class JointLoop:
             if -LARGEST_POSITION <= position <= LARGEST_POSITION:
                 reason += "; velocity_source filtered does without velocities"
             return self.reject(stamp_ns, reason)
-        if self._before_gap is not None:
-            before_ns = self._settle_gap(stamp_ns)
         dt = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
         is_next = 0.0 < dt <= timing.state_timeout
+        if dt > timing.state_timeout and not self._has_come_before(stamp_ns):
+            return self._pass_over_gap(stamp_ns, dt)
         if not is_next:
             self._interrupt(dt)
         if self._unwrapper is not None:
@@ -461,15 +453,11 @@ class JointLoop:
         if is_takeover:
             forward.reset()
         elif following.has_new_motion:
-            self._compensate_jump(forward.change_by(planned), stamp_ns)
+            left = self._law.absorb_added_effort(forward.change_by(planned))
+            if left:
+                forward.keep(-left, stamp_ns, self._takeover_time)
         following.has_new_motion = False
         return forward.update(stamp_ns, following.velocity, following.acceleration, planned)
-
-    def _compensate_jump(self, change: float, stamp_ns: int) -> None:
-        """Keep the effort continuous although the feedforward changes by so much, in [N m]."""
-        left = self._law.absorb_added_effort(change)
-        if left:
-            self._feedforward.keep(-left, stamp_ns, self._takeover_time)
 
     def reject(self, stamp_ns: int, reason: str) -> float:
         """Answer a state that cannot be used.
@@ -515,43 +503,27 @@ class JointLoop:
             self.counts.resets += 1
             self.reset()
         elif dt > 0.0:
-            self.last_fault = f"no usable state for {dt:g} s by the stamps"
-            assert self.stamp_ns is not None
-            self._before_gap = Snapshot(
-                stamp_ns=self.stamp_ns,
-                takeovers=self.counts.takeovers,
-                missed=self.counts.missed,
-                settings=self.settings,
-                following=copy(self._following),
-                feedforward=copy(self._feedforward),
-                velocity=self._estimation.copy_of_source(),
-                integral=self._law.raw_integral,
-            )
             self._is_takeover_due = True
-            if self.state is LoopState.SILENT:
-                self._law.override_effort(self.settings.effort.fallback)
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()
 
-    def _settle_gap(self, stamp_ns: int) -> int | None:
-        """Undo a gap whose stamp was wrong, and return the stamp of the last usable state."""
-        before, self._before_gap = self._before_gap, None
-        last_ns = self.stamp_ns
-        assert before is not None
-        assert last_ns is not None
-        dt = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
-        if stamp_ns > last_ns or not 0.0 <= dt <= self._timing.state_timeout:
-            return last_ns
-        newest, self._following = self._following.motion, before.following
-        if newest is not before.following.motion:
-            self._following.follow(newest)
-        if self.settings is before.settings:  # else the source is another, or of another design
-            self._estimation.restore_source(before.velocity)
-            self._feedforward = before.feedforward
-        self._law.restore_integral(before.integral)
-        self._adopt(self.settings)  # of the reference that was, too
-        self.counts.takeovers, self.counts.missed = before.takeovers, before.missed
-        return before.stamp_ns
+    def _has_come_before(self, stamp_ns: int) -> bool:
+        """Tell whether a state that comes after a gap is not the first one."""
+        if self._refused_ns is None or stamp_ns < self._refused_ns:
+            return False
+        assert self.stamp_ns is not None
+        timeout = self._timing.state_timeout
+        return (stamp_ns - self._refused_ns) * SECONDS_PER_NANOSECOND <= timeout or (
+            self._refused_ns - self.stamp_ns
+        ) * SECONDS_PER_NANOSECOND > timeout
+
+    def _pass_over_gap(self, stamp_ns: int, dt: float) -> float:
+        """Answer the first state after a gap with the active effort: its stamp may be wrong."""
+        self.last_fault = f"no usable state for {dt:g} s by the stamps"
+        if self.state is LoopState.SILENT:
+            self._law.override_effort(self.settings.effort.fallback)
+        self._skip(stamp_ns)
+        return self._law.effort
 
     def _is_believed(self, stamp_ns: int, position: float) -> bool:
         """Tell whether to believe a position where no joint can have come to.

@@ -63,17 +63,11 @@ class LimitedLaw:
         """The integral term that the next sample uses, in [N m]."""
         return self.model_gain * self._law.integral
 
-    @property
-    def raw_integral(self) -> float:
-        """The integral in the law's own units: with decoupling those of a unit inertia."""
-        return self._law.integral
+    def retune(self, settings: LoopSettings, where: tuple[float, float] | None) -> float:
+        """Apply other settings; the integral stays, and the effort is within the limits.
 
-    def restore_integral(self, integral: float) -> None:
-        """Replace the integral."""
-        self._law.restore_integral(integral)
-
-    def retune(self, settings: LoopSettings, where: tuple[float, float] | None) -> None:
-        """Apply other settings; the integral stays, and the effort is within the limits."""
+        Return what ``i_clamp`` takes from the integral, in [N m].
+        """
         law = make_law(settings)
         law.continue_from(self._law)
         limits = make_motion_limits(settings)
@@ -84,8 +78,18 @@ class LimitedLaw:
             effort = limits.limit(effort, *where, before=effort, dt=0.0)
             limits.braked = braked  # this is no sample
         self._adopt(settings, limits)
-        self._law = law
-        self.override_effort(effort)
+        self._law, integral = law, law.integral
+        self._restore_integral(integral)
+        if effort != self.effort:
+            self.override_effort(effort)
+        return self.model_gain * (integral - law.integral)
+
+    def _restore_integral(self, integral: float) -> None:
+        """Replace the integral, in the law's own units, within its limits."""
+        if self._has_integral:
+            least, most = self._integral_clamp
+            integral = min(max(integral, least), most)
+        self._law.restore_integral(integral)
 
     @property
     def driving_effort(self) -> float:
@@ -144,8 +148,7 @@ class LimitedLaw:
                 integral -= acceleration
         law.reset()
         if self._has_integral:
-            least, most = self._integral_clamp
-            law.restore_integral(min(max(integral, least), most))
+            self._restore_integral(integral)
         return gain * (integral - law.integral)
 
     def update(
@@ -198,7 +201,6 @@ class LimitedLaw:
         self.is_saturated = effort != wanted
         # In the law's own units: what is taken from the effort is taken from the law's output.
         integral = self._anti_windup(before, after, error, wanted / gain, effort / gain, dt)
-        least, most = self._integral_clamp
-        law.restore_integral(min(max(integral, least), most))
+        self._restore_integral(integral)
         self.effort, self._is_external = effort, False
         return effort

@@ -153,7 +153,7 @@ def _stop_while_pushing(
     before: float, after: float, error: float, wanted: float, limited: float, dt: float
 ) -> float:
     """Do not integrate while the effort is limited and the error pushes further into it."""
-    return before if wanted != limited and error * wanted > 0.0 else after
+    return before if error * (wanted - limited) > 0.0 else after
 
 
 def _back_calculation(time_constant: float) -> AntiWindup:

@@ -25,22 +25,23 @@ class DampingStop:
     limits: MotionLimits | None
     clamp: EffortLimits  # where there are no motion limits
     effort: float  # [N m] the active effort
-    stamp_ns: int  # of the last state
+    stamp_ns: int  # of the last state that could be used
     position: float  # [rad] of the last state
     unwrapper: Unwrapper | None  # of an encoder that wraps
     step_max: float  # [rad] what a position may differ from the last one at any time
     speed_max: float  # [rad/s] and for the time between
     duration: float  # [s]
 
-    def __post_init__(self) -> None:
-        self._begin_ns = self.stamp_ns
+    _begin_ns: int | None = None  # stamp of the first state
 
     def step(self, stamp_ns: int, position: float, velocity: float | None = None) -> float:
         """Take one state and return the effort that answers it in [N m]; see ``JointLoop.step``.
 
-        A state that cannot be used, that is not later than the last one, or whose position the
-        joint cannot have reached, gets none.
+        A state that cannot be used, that is older than the last one, or whose position the joint
+        cannot have reached, gets none; a repeat what the last one got.
         """
+        if stamp_ns == self.stamp_ns:
+            return self.effort
         if not self.uses_velocity:
             velocity = None
         dt = (stamp_ns - self.stamp_ns) * SECONDS_PER_NANOSECOND
@@ -55,6 +56,8 @@ class DampingStop:
             return 0.0
         self.stamp_ns, self.position = stamp_ns, position
         rate = self.velocity.update(position, velocity, dt)
+        if self._begin_ns is None:
+            self._begin_ns = stamp_ns
         passed = (stamp_ns - self._begin_ns) * SECONDS_PER_NANOSECOND / self.duration
         wanted = -self.damping * rate * max(0.0, 1.0 - passed)
         if self.limits is None:

@@ -34,6 +34,7 @@ typedef {{ c }}_state State;
 #define LOG logf
 #define ABS fabsf
 #define LARGEST FLT_MAX
+#define LARGEST_MULTIPLIER REAL(1e10) /* its cube times a gain is a number */
 #define WHOLE REAL(8388608.0) /* from here on all numbers are, 2^23 */
 #define SPLIT REAL(4097.0) /* halves a significand, 2^12 + 1 */
 #define TOLERANCE REAL(1e-6) /* of Newton's method, relative */
@@ -45,6 +46,7 @@ typedef {{ c }}_state State;
 #define LOG log
 #define ABS fabs
 #define LARGEST DBL_MAX
+#define LARGEST_MULTIPLIER REAL(1e100) /* its cube times a gain is a number */
 #define WHOLE REAL(4503599627370496.0)
 #define SPLIT REAL(134217729.0)
 #define TOLERANCE REAL(1e-15)
@@ -221,7 +223,7 @@ static Real multiplier(const State *loop, Real error, Real error_rate)
     n = clamped(n, c->floor, loop->settings.norm_cap);
     if (n == 0)
         return c->degree == 0 ? REAL(1.0) : REAL(0.0);
-    return POW(n, c->degree);
+    return smaller(POW(n, c->degree), LARGEST_MULTIPLIER);
 }
 
 /* -- The law ------------------------------------------------------------- */
@@ -318,7 +320,7 @@ static Real anti_windup(const State *loop, Real before, Real after, Real error, 
     const Settings *s = &loop->settings;
     switch (s->antiwindup_strategy) {
     case {{ C }}_ANTIWINDUP_STRATEGY_CONDITIONAL_INTEGRATION:
-        return wanted != effort && error * wanted > 0 ? before : after;
+        return error * (wanted - effort) > 0 ? before : after;
     case {{ C }}_ANTIWINDUP_STRATEGY_BACK_CALCULATION:
         if (s->gains_i == 0)
             return after;
@@ -336,22 +338,10 @@ static void give(State *loop, Real effort)
     loop->own.is_given = true;
 }
 
-/*
- * Begin anew with the effort in force: the integral becomes what it needs, and
- * what it may not give fades, as nothing would take it away again.
- */
-static void take_over(State *loop, int64_t stamp_ns, bool is_still_damped)
+/* Return an integral within its limits [N m]. */
+static Real allowed_integral(const Settings *s, Real integral)
 {
-    const Settings *s = &loop->settings;
-    Fade *fade = &loop->own.fade;
-    Real wanted = loop->effort;
-    if (is_still_damped && !loop->own.is_given)
-        wanted = clamped(loop->term_p + loop->term_i + loop->own.added, s->u_clamp_min,
-            s->u_clamp_max);
-    loop->integral = s->gains_i > 0 ? clamped(wanted, s->i_clamp_min, s->i_clamp_max) : REAL(0.0);
-    fade->effort = wanted - loop->integral;
-    fade->begin_ns = stamp_ns;
-    fade->duration_ns = loop->own.coefficients.glide_ns > 0 ? loop->own.coefficients.glide_ns : 1;
+    return s->gains_i > 0 ? clamped(integral, s->i_clamp_min, s->i_clamp_max) : integral;
 }
 
 /* Return what is left of an effort that fades [N m]. */
@@ -366,6 +356,31 @@ static Real fading(Fade *fade, int64_t stamp_ns)
     }
     return fade->effort *
         ((Real)((uint64_t)fade->duration_ns - passed) / (Real)fade->duration_ns);
+}
+
+/* Let an effort fade from now on [N m]. */
+static void keep(State *loop, Real effort, int64_t stamp_ns)
+{
+    Fade *fade = &loop->own.fade;
+    fade->effort = effort + fading(fade, stamp_ns);
+    fade->begin_ns = stamp_ns;
+    fade->duration_ns = loop->own.coefficients.glide_ns > 0 ? loop->own.coefficients.glide_ns : 1;
+}
+
+/*
+ * Begin anew with the effort in force: the integral becomes what it needs, and
+ * what it may not give fades, as nothing would take it away again.
+ */
+static void take_over(State *loop, int64_t stamp_ns, bool is_still_damped)
+{
+    const Settings *s = &loop->settings;
+    Real wanted = loop->effort;
+    if (is_still_damped && !loop->own.is_given)
+        wanted = clamped(loop->term_p + loop->term_i + loop->own.added, s->u_clamp_min,
+            s->u_clamp_max);
+    loop->integral = s->gains_i > 0 ? allowed_integral(s, wanted) : REAL(0.0);
+    loop->own.fade.effort = 0;
+    keep(loop, wanted - loop->integral, stamp_ns);
 }
 
 /* Put the law's effort, limited, in force; false, and nothing changes, if it is not finite. */
@@ -384,8 +399,8 @@ static bool update(State *loop, Real error_rate, Real dt, Real added)
     }
     effort = limited(loop, wanted, loop->velocity, loop->effort, dt);
     loop->is_limited = effort != wanted;
-    loop->integral = clamped(anti_windup(loop, before, after, error, wanted, effort, dt),
-        s->i_clamp_min, s->i_clamp_max);
+    loop->integral = allowed_integral(s,
+        anti_windup(loop, before, after, error, wanted, effort, dt));
     loop->effort = effort;
     loop->own.is_given = false;
     return true;
@@ -748,33 +763,20 @@ static void interrupt(State *loop, Real since)
     if (since < 0) {
         {{ c }}_reset(loop);
     } else if (since > 0) {
-        loop->own.has_past = true;
-        loop->own.past_ns = loop->own.stamp_ns;
-        loop->own.past_integral = loop->integral;
-        loop->own.past_estimate = loop->own.estimate;
-        loop->own.past_passage = loop->own.passage;
-        loop->own.past_fade = loop->own.fade;
         loop->own.is_takeover_due = true;
         if (!loop->own.has_wrapped) /* it is not known that the encoder ever does */
             loop->own.has_encoder = false;
     }
 }
 
-/*
- * Undo a gap whose stamp was wrong: one follows that continues those before it.
- * Return the stamp of the last usable state.
- */
-static int64_t settle_gap(State *loop, int64_t stamp_ns)
+/* Whether a state that comes after a gap is not the first one. */
+static bool has_come_before(const State *loop, int64_t stamp_ns)
 {
-    Real since = seconds(loop->own.past_ns, stamp_ns);
-    loop->own.has_past = false;
-    if (stamp_ns > loop->own.stamp_ns || !is_within(since, 0, loop->settings.state_timeout * SLACK))
-        return loop->own.stamp_ns;
-    loop->integral = loop->own.past_integral;
-    loop->own.estimate = loop->own.past_estimate;
-    loop->own.passage = loop->own.past_passage;
-    loop->own.fade = loop->own.past_fade;
-    return loop->own.past_ns;
+    Real timeout = loop->settings.state_timeout * SLACK;
+    if (!loop->own.has_unusable || stamp_ns < loop->own.unusable_ns)
+        return false;
+    return seconds(loop->own.unusable_ns, stamp_ns) <= timeout ||
+        seconds(loop->own.stamp_ns, loop->own.unusable_ns) > timeout;
 }
 
 /*
@@ -858,7 +860,6 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
     {{ c }}_real position, const {{ c }}_real *velocity)
 {
     const Coefficients *c = &loop->own.coefficients;
-    int64_t before_ns = loop->own.stamp_ns;
     Real since;
     bool is_next;
     if (!loop->own.is_ready)
@@ -871,10 +872,13 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
     if (!is_usable(position) || (velocity != NULL && !is_usable(*velocity)) ||
         !is_usable(reference_position) || !is_usable(reference_velocity))
         return fault(loop, stamp_ns);
-    if (loop->own.has_past)
-        before_ns = settle_gap(loop, stamp_ns);
-    since = loop->own.has_stamp ? seconds(before_ns, stamp_ns) : REAL(0.0);
+    since = loop->own.has_stamp ? seconds(loop->own.stamp_ns, stamp_ns) : REAL(0.0);
     is_next = since > 0 && since <= loop->settings.state_timeout * SLACK;
+    if (since > 0 && !is_next && !has_come_before(loop, stamp_ns)) {
+        loop->own.has_unusable = true; /* its stamp may be wrong */
+        loop->own.unusable_ns = stamp_ns;
+        return loop->effort;
+    }
     if (!is_next)
         interrupt(loop, since);
     if (loop->own.has_unwrapper)
@@ -892,12 +896,13 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
 
 bool {{ c }}_init({{ c }}_state *loop, const {{ c }}_settings_type *settings)
 {
+    Settings given = *settings; /* which may be the loop's own */
     *loop = (State){0};
-    loop->own.is_ready = derive(settings, &loop->own.coefficients);
+    loop->own.is_ready = derive(&given, &loop->own.coefficients);
     if (!loop->own.is_ready)
         return false;
-    loop->settings = *settings;
-    loop->own.has_unwrapper = settings->encoder_wrap > 0;
+    loop->settings = given;
+    loop->own.has_unwrapper = given.encoder_wrap > 0;
     {{ c }}_reset(loop);
     return true;
 }
@@ -918,16 +923,19 @@ void {{ c }}_reset({{ c }}_state *loop)
     loop->own.fade = nothing;
     loop->own.added = 0;
     loop->own.has_stamp = loop->own.has_unusable = loop->own.is_astray = false;
-    loop->own.is_takeover_due = loop->own.has_past = false;
+    loop->own.is_takeover_due = false;
 }
 
 bool {{ c }}_retune({{ c }}_state *loop, const {{ c }}_settings_type *settings)
 {
     Settings before = loop->settings, *now = &loop->settings;
     Coefficients next;
-    bool same_stops, same_source;
+    Real effort, integral;
+    bool same_stops, same_source, is_on_fallback;
     if (!loop->own.is_ready || !derive(settings, &next))
         return false;
+    is_on_fallback = loop->condition == {{ C }}_FAULT &&
+        loop->effort == loop->own.coefficients.fallback;
     same_stops = loop->own.coefficients.has_limits && next.lower == loop->own.coefficients.lower &&
         next.upper == loop->own.coefficients.upper;
     *now = *settings;
@@ -945,15 +953,20 @@ bool {{ c }}_retune({{ c }}_state *loop, const {{ c }}_settings_type *settings)
         loop->own.has_unwrapper = true;
         reset_encoder(loop);
     }
-    loop->own.past_estimate = loop->own.estimate; /* what was before a gap went by other settings */
-    loop->own.past_fade = loop->own.fade;
-    loop->effort = clamped(loop->effort, now->u_clamp_min, now->u_clamp_max);
+    effort = clamped(loop->effort, now->u_clamp_min, now->u_clamp_max);
     if (next.has_limits && loop->own.has_stamp) {
         if (!same_stops)
             open_stops(loop, loop->position);
-        loop->effort = limited(loop, loop->effort, loop->velocity, loop->effort, 0);
+        effort = limited(loop, effort, loop->velocity, effort, 0);
     }
-    give(loop, loop->condition == {{ C }}_FAULT ? next.fallback : loop->effort);
+    if (effort != loop->effort)
+        give(loop, effort);
+    if (is_on_fallback)
+        give(loop, next.fallback);
+    integral = loop->integral;
+    loop->integral = allowed_integral(now, integral);
+    if (integral != loop->integral)
+        keep(loop, integral - loop->integral, loop->own.has_stamp ? loop->own.stamp_ns : 0);
     return true;
 }
 

@@ -168,12 +168,6 @@ typedef struct {{ c }}_state {
         {{ c }}_passage passage;
         {{ c }}_fade fade;
         {{ c }}_real added;          /* to the terms of the last sample [N m] */
-        bool has_past;               /* the last state came after a gap: */
-        int64_t past_ns;             /* what the loop was before it */
-        {{ c }}_real past_integral;  /* [N m] */
-        {{ c }}_estimate past_estimate;
-        {{ c }}_passage past_passage;
-        {{ c }}_fade past_fade;
         {{ c }}_coefficients coefficients;
     } own;
 } {{ c }}_state;
@@ -197,7 +191,8 @@ void {{ c }}_reset({{ c }}_state *loop);
  * stamp_ns: when the state was measured [ns], on any clock. The time between
  *     samples is the difference of stamps. An equal stamp is a repeat, which
  *     gets the effort in force; one that goes back resets the loop; one that
- *     is later by more than state_timeout makes it take over anew, from the
+ *     is later by more than state_timeout gets the effort in force, as it may be
+ *     wrong, and the one after it makes the loop take over anew, from the
  *     effort in force.
  * reference_position, reference_velocity: where the joint should be [rad], and
  *     how fast [rad/s]. After init, reset and a takeover the loop glides onto

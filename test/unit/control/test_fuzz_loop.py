@@ -256,6 +256,10 @@ class NothingKicks(RuleBasedStateMachine):
         if noticed != "never" and counts:  # stamps that count samples do not show
             self.stamp_ns = stamp_ns
         self.stamp_ns += MS
+        timeout_ns = self.values.get("state_timeout", 0.1) * 1e9
+        if self.loop.stamp_ns is not None and self.stamp_ns - self.loop.stamp_ns > timeout_ns:
+            assert self.loop.step(self.stamp_ns, 3.0, 0.0) == self.active  # it may be wrong
+            self._move(1e-3)
         # Within the timeout the loop goes on, and its reference has moved meanwhile.
         self._sample(is_back=seconds < self.values.get("state_timeout", 0.1))
 

@@ -53,6 +53,7 @@ def test_after_a_timeout_the_loop_takes_over_from_where_the_joint_fell_without_a
     assert abs(run(loop, 1000, 2000, 0.3)) > 2.0 or motion is None
     assert loop.note_timeout() == fallback
     assert loop.state is LoopState.SILENT
+    assert loop.step(2499 * MS, 0.1, 0.0) == fallback  # its stamp may be wrong
     effort = loop.step(2500 * MS, -0.4, 0.0)
     assert effort == pytest.approx(fallback)
     assert loop.reference == pytest.approx((-0.4, 0.0))
@@ -71,6 +72,7 @@ def test_a_freeze_that_nobody_noticed_is_a_takeover_too(motion):
     loop = loop_on(motion, law="hpid", mu=-0.2)
     for k in range(1000, 1500):
         before = loop.step(k * MS, 0.1 + 1e-4 * (k - 1000), 0.1)
+    assert loop.step(2999 * MS, 0.9, 0.0) == before
     effort = loop.step(3000 * MS, 0.15, 0.0)
     assert effort == pytest.approx(before)
     assert (loop.counts.takeovers, loop.counts.gaps, loop.counts.silences) == (1, 1, 0)
@@ -200,16 +202,38 @@ def test_states_that_cannot_be_used_end_in_a_takeover_only_after_the_timeout(dur
     assert effort == pytest.approx(0.0 if takeovers else before, abs=0.1)
 
 
-@pytest.mark.parametrize("position", [0.2, math.nan])
-def test_a_single_stamp_from_the_future_is_a_gap_and_no_more(position):
-    loop, twin = (loop_on(Setpoint(1.0)) for _ in range(2))
+@pytest.mark.parametrize("is_taken_over", [False, True])
+@pytest.mark.parametrize("changes", [{}, {"gains__i": 0.0}, {"encoder_wrap": math.tau}])
+@pytest.mark.parametrize("position", [3.1, 0.2, -3.0])
+def test_a_single_stamp_from_the_future_leaves_nothing_behind(position, changes, is_taken_over):
+    values = {"velocity_source": "filtered", "velocity_max": 5.0, **changes}
+    loop, twin = (loop_on(Setpoint(3.0), **values) for _ in range(2))
     for each in (loop, twin):
-        run(each, 0, 200, 0.2)
-    loop.step(3_600_000 * MS, position, 0.0)
-    efforts = [each.step(200 * MS, 0.2, 0.0) for each in (loop, twin)]
-    assert efforts[0] == pytest.approx(efforts[1])  # integral and motion are as they were
-    assert (loop.counts.resets, loop.counts.takeovers, loop.counts.missed) == (0, 0, 0)
-    assert run(loop, 201, 400, 0.2) == pytest.approx(run(twin, 201, 400, 0.2))
+        run(each, 0, 200, 3.1)
+        if is_taken_over:
+            each.supersede(1.0)
+    assert loop.step(3_600_000 * MS, position) == twin.effort
+    loop.retune(loop.settings.with_parameters({"gains.p": 100.0}))
+    loop.retune(twin.settings)
+    efforts = [[each.step(k * MS, 3.1) for k in range(200, 400)] for each in (loop, twin)]
+    assert efforts[0] == pytest.approx(efforts[1], abs=1e-9)
+    assert (loop.counts.resets, loop.counts.takeovers) == (0, is_taken_over)
+    assert loop.counts.missed == 0
+
+
+@pytest.mark.parametrize(
+    "states", [[(math.nan, 0)], [(9.0, 0), (9.0, 200)], [(0.2, 0), (9.0, 200)]]
+)
+def test_a_stamp_from_the_future_is_forgotten_whatever_else_is_wrong(states):
+    """The position, or that of the next state."""
+    loop = loop_on(Setpoint(1.0), velocity_max=5.0)
+    before = run(loop, 0, 200, 0.2)
+    for position, at in states:
+        loop.step((at or 3_600_000) * MS, position, 0.0)
+    after = [loop.step((201 + k) * MS, 0.2, 0.0) for k in range(100)]
+    assert after[0] == pytest.approx(before, abs=0.2)
+    assert largest_change(*after) < 0.2
+    assert (loop.counts.resets, loop.counts.takeovers) == (0, 0)
 
 
 def test_a_clock_that_really_jumped_goes_on_from_there():
@@ -304,9 +328,90 @@ def test_a_damping_stop_only_takes_energy_out_and_ends_with_nothing():
         velocity = math.cos(0.05 * k)
         effort = stop.step(k * MS, 0.0, velocity)
         assert effort * velocity <= 0.0
-        assert abs(effort) <= 20.0 * abs(velocity) * max(0.0, 1.0 - (k - 9) / 200.0) + 1e-9
+        assert abs(effort) <= 20.0 * abs(velocity) * max(0.0, 1.0 - (k - 10) / 200.0) + 1e-9
     assert effort == 0.0
     assert loop.damping_stop(0.2).step(10**12, math.nan, 0.0) == 0.0
+
+
+def test_a_damping_stop_lasts_as_long_however_old_the_last_usable_state_is():
+    loop = loop_on()
+    for k in range(50):
+        loop.step(k * MS, 1e-3 * k, 1.0)
+    for k in range(50, 90):
+        loop.step(k * MS, math.nan, 1.0)
+    stop = loop.damping_stop(0.02)
+    efforts = [stop.step(k * MS, 1e-3 * k, 1.0) for k in range(90, 112)]
+    assert efforts[0] == pytest.approx(-20.0)
+    assert efforts[19] < 0.0
+    assert efforts[20:] == [0.0, 0.0]
+    assert stop.step(111 * MS, 0.111, 1.0) == 0.0
+
+
+def test_a_repeat_gets_from_a_damping_stop_what_the_state_got():
+    loop = loop_on()
+    for k in range(50):
+        loop.step(k * MS, 1e-3 * k, 1.0)
+    stop = loop.damping_stop(0.1)
+    effort = stop.step(50 * MS, 0.05, 1.0)
+    assert effort < -10.0
+    assert stop.step(50 * MS, 0.05, 1.0) == effort
+
+
+@pytest.mark.parametrize("effort", [math.nan, math.inf, -math.inf])
+def test_another_effort_that_is_no_number_is_taken_for_the_fallback(effort):
+    loop = loop_on(Setpoint(0.0), fallback_effort=1.5)
+    run(loop, 0, 10, 0.0)
+    loop.supersede(effort)
+    assert loop.effort == 1.5
+    assert loop.step(10 * MS, 0.0, 0.0) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("discretization", ["explicit", "semi_implicit"])
+def test_without_a_floor_a_joint_at_rest_on_its_target_is_no_fault(discretization):
+    """The filtered velocity falls beneath all numbers, and lam^3 rises above them."""
+    values = {"law": "hpid", "mu": -0.45, "velocity_source": "filtered", "norm__floor": 0.0}
+    loop = loop_on(Setpoint(0.0), **values, inertia=0.5, discretization=discretization)
+    run(loop, 0, 5, 0.0)
+    run(loop, 5, 100, -0.01)
+    held = run(loop, 100, 2000, 0.0)
+    assert run(loop, 2000, 9000, 0.0) == pytest.approx(held, rel=0.1)
+    assert loop.counts.rejected == 0
+
+
+@pytest.mark.parametrize(("least", "most", "error"), [(2.0, 10.0, 0.5), (-10.0, -2.0, -0.5)])
+def test_an_error_that_leads_out_of_a_limit_is_integrated(least, most, error):
+    values = {"gains": Gains(1.0, 10.0, 0.1), "u_clamp_min": least, "u_clamp_max": most}
+    loop = loop_on(Setpoint(error), **values, takeover_time=0.0)
+    assert abs(run(loop, 0, 1000, 0.0)) > 4.0
+
+
+def test_a_lower_limit_of_the_integral_is_reached_without_a_jump():
+    loop = loop_on(Setpoint(0.1), gains=Gains(40.0, 130.0, 4.0), takeover_time=0.2)
+    before = run(loop, 0, 1000, 0.0)
+    assert loop.integral > 6.0
+    loop.retune(loop.settings.with_parameters({"i_clamp_max": 1.0}))
+    efforts = [loop.step(k * MS, 0.0, 0.0) for k in range(1000, 1400)]
+    assert largest_change(before, *efforts) < 0.1
+    assert efforts[-1] == pytest.approx(5.0)
+
+
+def test_another_effort_after_a_fault_stays_where_parameters_are_set():
+    loop = loop_on(Setpoint(0.0))
+    run(loop, 0, 10, 0.0)
+    loop.step(10 * MS, math.nan)
+    loop.supersede(3.0)
+    loop.retune(loop.settings.with_parameters({"gains.p": 100.0}))
+    assert loop.effort == 3.0
+
+
+def test_a_jump_that_is_confirmed_after_a_retune_keeps_no_damping_in_its_integral():
+    loop, twin = (loop_on(velocity_max=5.0) for _ in range(2))
+    for each in (loop, twin):
+        for k in range(50):
+            each.step(k * MS, 2e-3 * k, 2.0)
+        each.step(50 * MS, 9.0, 2.0)
+    loop.retune(twin.settings)
+    assert loop.step(51 * MS, 9.0, 2.0) == twin.step(51 * MS, 9.0, 2.0)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e12])
@@ -398,6 +503,7 @@ def test_ten_thousand_sets_between_samples_are_active_whole_or_not_at_all(faults
         law = make_law(settings_now)
         law.restore_integral(integral)
         own = law.update(loop.error, loop.reference[1] - loop.velocity, 0.001)
+        own += loop.feedforward_effort  # what i_clamp took from the integral fades
         if make_motion_limits(settings_now) is None:
             assert effort == min(max(own, low), high)
         elif settings_now.effort.effort_rate_max > 0.0:

@@ -80,6 +80,7 @@ def test_a_freeze_of_the_supervisor_too_ends_with_the_active_effort():
     joint = settled(fallback_effort=1.5)
     joint.wait(1.5)
     assert joint.states() == pytest.approx(4.0, abs=0.05)
+    assert joint.states() == pytest.approx(4.0, abs=0.05)
     assert joint.fallbacks == []  # no effort was given
     assert (joint.loop.counts.silences, joint.loop.counts.takeovers) == (1, 1)
 
