@@ -5,24 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import Numbers
-from hpid_ros.tuning.joint_record import JointRecord, Kernel, Span, halves, spans
-from hpid_ros.tuning.regression import (
-    INERTIA,
-    Equation,
-    Grid,
-    Model,
-    Motion,
-    Terms,
-    joined,
-    motion_of,
-)
+from hpid_ros.tuning.joint_record import JointRecord, Kernel, Rows, Span
+from hpid_ros.tuning.regression import INERTIA, Equation, Model, RigidBody
 from hpid_ros.tuning.term_selection import JointIdentification, findings, nothing
 
 _LEAST = 0.05  # of the largest command; less is no drive
@@ -33,19 +23,19 @@ _LEAST_MISFIT = 1e-4  # of the effort's variance: below it a model is right as i
 _BETTER = 0.2  # of the misfit without a limit at most: ripple and gear losses gain a third
 
 
-def saturation(record: JointRecord, equation: Callable[[float], Equation]) -> float:
+def _saturation(equation: Equation) -> float:
     """Return the effort that acts of a larger command, in [N m]; infinite if none shows one."""
-    sizes = np.abs(record.effort)
+    sizes = np.abs(equation.rows.record.effort)
     largest = float(sizes.max(initial=0.0))
     if largest == 0.0:
         return math.inf
-    plain = _misfit(equation(math.inf))
+    plain = _misfit(equation)
     if plain < _LEAST_MISFIT:
         return math.inf
     low, high, best, least = _LEAST * largest, largest, math.inf, plain
     for _ in range(_REFINED):
         levels = np.geomspace(low, high, _LEVELS)
-        misfits = [_misfit(equation(float(each))) for each in levels]
+        misfits = [_misfit(equation.limited(float(each))) for each in levels]
         place = int(np.argmin(misfits))
         if misfits[place] >= least and best == math.inf:
             return math.inf
@@ -58,16 +48,12 @@ def saturation(record: JointRecord, equation: Callable[[float], Equation]) -> fl
 
 def _misfit(equation: Equation) -> float:
     """Return the share of the effort's variance that an equation leaves unexplained."""
-    is_free = equation.terms.rigid is None
-    model = Model(has_gravity=is_free)
+    model = Model(has_gravity=equation.rigid is None)
     fit, delay = equation.solve(model, equation.coarse_delay(model))
     effort = equation.effort(delay)[equation.weight > 0.0]
     return fit.rms**2 / max(float(np.var(effort)), 1e-300)
 
 
-RigidBody = Callable[[Numbers, Numbers, Numbers], Numbers]
-"""Efforts that rigid bodies need, (K, R), in [N m], for the positions, velocities and
-accelerations of K joints at R rows, each (K, R); without rotors and friction."""
 Spin = Callable[[Numbers, Numbers, Numbers, Numbers], Numbers]
 """Efforts that rotors need besides their reflected inertia, because they spin on links that move,
 (K, R), in [N m]: for the same motion, and the reflected inertias of K rotors, (K,)."""
@@ -75,7 +61,6 @@ Spin = Callable[[Numbers, Numbers, Numbers, Numbers], Numbers]
 _CUTOFFS = (20.0, 16.0, 12.5, 10.0, 8.0, 6.3, 5.0, 4.0, 3.15, 2.5, 2.0, 1.6, 1.25, 1.0)
 _HIGHEST = 0.1  # of the sampling frequency
 _NOISE = 1e-3  # of the acceleration's variance
-_PADDING = 40  # rows between two spans, as if nothing had been recorded there
 _LEAST_ROWS = 40
 _BIN = 1.0  # [s]
 _BUSY = 0.1  # of what the joint in question travels
@@ -101,14 +86,6 @@ class Method:
             )
 
 
-class _Rows(NamedTuple):
-    """All rows of all spans, as seen through one kernel."""
-
-    grids: list[Grid]
-    cells: list[int]
-    motions: list[list[Motion]]  # by joint, then span
-
-
 def identify(
     records: Sequence[JointRecord],
     rigid_body: RigidBody | None = None,
@@ -125,38 +102,28 @@ def identify(
     moving = max((_travel(each) for each in records), default=0.0)
     places = [k for k, each in enumerate(records) if wanted is None or each.joint in wanted]
     if rigid_body is not None:
-        prepared = {k: _prepared(records, k, rigid_body, how, moving) for k in places}
-        found = {k: each.findings(how) for k, each in prepared.items()}
+        equations = {k: _equation(records, k, rigid_body, how, moving) for k in places}
+        found = {k: _found(records[k], each, how) for k, each in equations.items()}
         if spin is not None:
-            found |= _with_spin(spin, prepared, found, len(records), how)
+            found |= _with_spin(spin, equations, found, len(records), how)
         return tuple(found.values())
     alone = []
     for each in (records[k] for k in places):
-        own = _prepared([each], 0, None, how, moving, _others_turn(each, records))
-        alone.append(replace(own.findings(how), remarks=_company(each, records)))
+        own = _equation([each], 0, None, how, moving, _others_turn(each, records))
+        alone.append(replace(_found(each, own, how), remarks=_company(each, records)))
     return tuple(alone)
 
 
-class _Prepared(NamedTuple):
-    """A joint's equation, or why there is none."""
-
-    record: JointRecord
-    reason: str
-    rows: _Rows = _Rows([], [], [])
-    times: Numbers = np.empty(0)
-    equation: Equation | None = None
-    limit: float = math.inf
-
-    def findings(self, how: Method) -> JointIdentification:
-        if self.equation is None:
-            return nothing(self.record, self.reason)
-        found = findings(self.record, self.equation, self.times, how.has_scale)
-        return replace(found, effort_limit=self.limit)
+def _found(record: JointRecord, equation: Equation | str, how: Method) -> JointIdentification:
+    """Return what an equation says; nothing, with the reason, where there is none."""
+    if isinstance(equation, str):
+        return nothing(record, equation)
+    return findings(equation, how.has_scale)
 
 
 def _with_spin(
     spin: Spin,
-    prepared: Mapping[int, _Prepared],
+    equations: Mapping[int, Equation | str],
     found: Mapping[int, JointIdentification],
     count: int,
     how: Method,
@@ -167,17 +134,14 @@ def _with_spin(
         estimate = each.reliable(INERTIA)
         rotors[place] = estimate.value if estimate is not None else 0.0
     again = {}
-    for place, own in prepared.items():
-        if own.equation is None or not rotors.any():
+    for place, equation in equations.items():
+        if isinstance(equation, str) or not rotors.any():
             continue
-        means = [
-            np.stack([joint[span].mean for joint in own.rows.motions], axis=1)
-            for span in range(len(own.rows.grids))
-        ]
-        efforts = joined([spin(q, v, a, rotors)[place] for q, v, a in means], _PADDING)
+        position, velocity, acceleration = equation.rows.motion.mean(axis=0)
+        efforts = spin(position, velocity, acceleration, rotors)[place]
         if efforts.any():
-            own.equation.terms = own.equation.terms._replace(spin=efforts)
-            again[place] = own.findings(how)
+            equation.spin = efforts
+            again[place] = findings(equation, how.has_scale)
     return again
 
 
@@ -238,47 +202,33 @@ def _travel(record: JointRecord) -> float:
     return float(np.ptp(record.position)) if len(record.position) else 0.0
 
 
-def _prepared(
+def _equation(
     records: Sequence[JointRecord],
     place: int,
     rigid_body: RigidBody | None,
     how: Method,
     moving: float,
     left_out: Sequence[Span] = (),
-) -> _Prepared:
+) -> Equation | str:
+    """Return a joint's equation, or why there is none."""
     own = records[place]
     reason = _why_not(own, moving)
     if reason:
-        return _Prepared(own, reason)
+        return reason
     if how.cutoff is not None:
         kernel = Kernel(min(how.cutoff, _HIGHEST / own.period))
     else:
         kernel = _chosen_kernel(own, how)
-    rows = _rows(records, own, kernel, how)
-    if sum(grid.rows for grid in rows.grids) < _LEAST_ROWS:
-        return _Prepared(own, _too_short(own, kernel))
-    rigid = None if rigid_body is None else _rigid(rows, rigid_body, place)
-    static = None if rigid_body is None else _static(rows, rigid_body, place)
-    times = joined([grid.times for grid in rows.grids], _PADDING)
-    terms = Terms.of(
-        rows.motions[place], rigid, static, lambda of: _smoothed(rows, kernel, place, of), _PADDING
-    )
-    terms = terms.without([(times >= each.begin) & (times < each.end) for each in left_out])
-
-    def equation(limit: float) -> Equation:
-        acting = own if limit == math.inf else replace(own, effort=own.effort.clip(-limit, limit))
-        return Equation(
-            terms,
-            lambda delay: _effort(acting, rows, kernel, delay),
-            period=own.period,
-            cutoff=kernel.cutoff,
-            longest_delay=how.longest_delay,
+    rows = Rows(records, place, kernel, how.longest_delay)
+    if rows.count < _LEAST_ROWS:
+        return (
+            f"no stretch without a gap is longer than {6.0 * kernel.half_width:.2g} s, which a "
+            f"low pass of {kernel.cutoff:g} Hz needs at samples every {own.period:.2g} s"
         )
-
-    if equation(math.inf).used_rows < _LEAST_ROWS:
-        return _Prepared(own, _TOO_SLOW)
-    limit = saturation(own, equation) if own.is_held else math.inf
-    return _Prepared(own, "", rows, times, equation(limit), limit)
+    equation = Equation(rows, rigid_body, left_out)
+    if equation.used_rows < _LEAST_ROWS:
+        return _TOO_SLOW
+    return equation.limited(_saturation(equation)) if own.is_held else equation
 
 
 def _why_not(record: JointRecord, moving: float) -> str:
@@ -292,13 +242,6 @@ def _why_not(record: JointRecord, moving: float) -> str:
     return ""
 
 
-def _too_short(record: JointRecord, kernel: Kernel) -> str:
-    return (
-        f"no stretch without a gap is longer than {6.0 * kernel.half_width:.2g} s, which a low "
-        f"pass of {kernel.cutoff:g} Hz needs at samples every {record.period:.2g} s"
-    )
-
-
 def _chosen_kernel(record: JointRecord, how: Method) -> Kernel:
     """Return the highest cut-off at which noise is a small part of the acceleration."""
     best: tuple[float, Kernel] | None = None
@@ -306,74 +249,16 @@ def _chosen_kernel(record: JointRecord, how: Method) -> Kernel:
         if cutoff > _HIGHEST / record.period and cutoff > _CUTOFFS[-1]:
             continue
         kernel = Kernel(min(cutoff, _HIGHEST / record.period))
-        rows = _rows([record], record, kernel, how)
-        if not rows.grids:
+        rows = Rows([record], 0, kernel, how.longest_delay)
+        if not rows.count:
             continue
-        motions = rows.motions[0]
-        acceleration = np.concatenate([each.mean[2] for each in motions])
-        noise = math.sqrt(np.mean([each.noise[2] ** 2 for each in motions]))
+        accelerations = [part[:, 2, 0] for part in rows.parts]
+        acceleration = np.concatenate([each.mean(axis=0) for each in accelerations])
+        # By how far the halves differ.
+        noise = math.sqrt(np.mean([(np.std(a - b) / 2.0) ** 2 for a, b in accelerations]))
         share = noise**2 / max(float(np.var(acceleration)), 1e-300)
         if best is None or share < best[0]:
             best = share, kernel
         if share <= _NOISE:
             return kernel
     return best[1] if best is not None else Kernel(min(_CUTOFFS[0], _HIGHEST / record.period))
-
-
-def _rows(records: Sequence[JointRecord], own: JointRecord, kernel: Kernel, how: Method) -> _Rows:
-    grids: list[Grid] = []
-    counts: list[int] = []
-    motions: list[list[Motion]] = [[] for _ in records]
-    for span in spans(records, own):
-        parts = [halves(each, span, own.period) for each in records]
-        cells = [each for each in parts if each is not None]
-        if len(cells) < len(parts):
-            continue
-        grid = Grid.over(cells[0], kernel, how.longest_delay)
-        if grid is None:
-            continue
-        grids.append(grid)
-        counts.append(len(cells[0].even))
-        for joint, each in zip(motions, cells, strict=True):
-            joint.append(motion_of(each, grid, kernel))
-    return _Rows(grids, counts, motions)
-
-
-def _rigid(rows: _Rows, rigid_body: RigidBody, place: int) -> list[Numbers]:
-    """Return what rigid bodies need of one joint, of either half, for each span, (2, R)."""
-    found = []
-    for span in range(len(rows.grids)):
-        both = [
-            rigid_body(*np.stack([joint[span].halves[half] for joint in rows.motions], axis=1))
-            for half in (0, 1)
-        ]
-        found.append(np.stack([each[place] for each in both]))
-    return found
-
-
-def _static(rows: _Rows, rigid_body: RigidBody, place: int) -> list[Numbers]:
-    """Return what rigid bodies need of one joint at rest, for each span, (R,)."""
-    found = []
-    for span in range(len(rows.grids)):
-        position = np.stack([joint[span].mean[0] for joint in rows.motions])
-        rest = np.zeros_like(position)
-        found.append(rigid_body(position, rest, rest)[place])
-    return found
-
-
-def _smoothed(
-    rows: _Rows, kernel: Kernel, place: int, of: Callable[[Numbers], Numbers]
-) -> Numbers:
-    """Return a function of a joint's velocity, smoothed at the rows, (R,)."""
-    each = zip(rows.grids, rows.motions[place], strict=True)
-    return joined([grid.smoothed(of(motion.velocity), kernel) for grid, motion in each], _PADDING)
-
-
-def _effort(record: JointRecord, rows: _Rows, kernel: Kernel, delay: float) -> Numbers:
-    """Return the smoothed effort and its rate at the rows, (2, R), if it acts with a delay."""
-    impulse = record.impulse()
-    parts = []
-    for grid, count in zip(rows.grids, rows.cells, strict=True):
-        means = np.diff(impulse(grid.edges(count) - delay)) / grid.length
-        parts.append(np.stack([grid.smoothed(means, kernel, order) for order in (0, 1)]))
-    return joined(parts, _PADDING)

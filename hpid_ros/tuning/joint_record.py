@@ -11,11 +11,13 @@ its cut-off frequency, so that a gap in a recording costs just the time around i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
 
 from hpid_ros.base.errors import SettingError
@@ -114,9 +116,9 @@ class JointRecord:
         """Median time between two positions, in [s]; zero for fewer than two."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
 
-    def impulse(self) -> PPoly:
-        """Return the integral of the effort over time, in [N m s]."""
-        when, what = self.effort_time, self.effort
+    def impulse(self, limit: float = math.inf) -> PPoly:
+        """Return the integral of the effort over time, in [N m s], of no more than a limit."""
+        when, what = self.effort_time, self.effort.clip(-limit, limit)
         if self.is_held:
             steps = what[None, :-1]
         else:
@@ -169,16 +171,10 @@ class Halves(NamedTuple):
     noise of its own.
     """
 
-    even: Numbers  # [rad] means of the position over the cells, (K,)
-    odd: Numbers  # likewise, of the other samples, over the same cells
+    means: Numbers  # [rad] of the position over the cells, (2, K)
     reference: Numbers  # likewise, of the reference; empty where nobody knows it
     first: float  # [s] middle of the first cell
     length: float  # [s] of a cell
-
-    @property
-    def middles(self) -> Numbers:
-        """Middles of the cells, (K,), in [s]."""
-        return np.asarray(self.first + self.length * np.arange(len(self.even)))
 
 
 def halves(record: JointRecord, span: Span, period: float) -> Halves | None:
@@ -204,7 +200,7 @@ def halves(record: JointRecord, span: Span, period: float) -> Halves | None:
         steps = np.stack([np.diff(aim) / np.diff(record.time[inside]), aim[:-1]])
         integral = PPoly(steps, record.time[inside]).antiderivative()
         reference = np.diff(integral(edges)) / length
-    return Halves(means[0], means[1], reference, float(edges[0] + period), length)
+    return Halves(np.array(means), reference, float(edges[0] + period), length)
 
 
 def _apart(time: Numbers, values: Numbers, least: float) -> tuple[Numbers, Numbers]:
@@ -217,3 +213,178 @@ def _apart(time: Numbers, values: Numbers, least: float) -> tuple[Numbers, Numbe
             kept.append(k)
             last = float(each)
     return time[kept], values[kept]
+
+
+_ROWS_PER_PERIOD = 4  # of the kernel's cut-off frequency
+_LAGS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20)
+"""Of reference and friction, in quarters of the cut-off's period: how a loop answers, in few
+numbers."""
+_SLOW_NOISE = 5.0  # standard deviations of the velocity's noise
+_SLOW_SHARE = 0.2  # of its root mean square
+_PADDING = 40  # rows between two spans, as if nothing had been recorded there
+
+
+class Grid(NamedTuple):
+    """Cells of one length and the rows among them."""
+
+    first: float  # [s] middle of the first cell
+    length: float  # [s] of a cell
+    begin: int  # the cell in whose middle the first row is
+    stride: int  # cells from one row to the next
+    rows: int  # how many rows there are
+    reach: int  # cells to either side of a row that have weight
+
+    @classmethod
+    def over(cls, cells: Halves, kernel: Kernel, margin: float) -> Grid | None:
+        """Return the rows whose columns are known; None where there is no room for any."""
+        length = cells.length
+        reach = math.floor(kernel.half_width / length + _ROUNDING)
+        # Twice: a sign is smoothed of smoothed velocities.
+        begin = 2 * reach + math.ceil(margin / length - _ROUNDING)
+        stride = max(1, round(1.0 / (_ROWS_PER_PERIOD * kernel.cutoff * length)))
+        room = cells.means.shape[1] - 2 * begin
+        if room < 1:
+            return None
+        return cls(cells.first, length, begin, stride, (room - 1) // stride + 1, reach)
+
+    @property
+    def times(self) -> Numbers:
+        """When the rows are, (R,), in [s]."""
+        cells = self.begin + self.stride * np.arange(self.rows)
+        return np.asarray(self.first + self.length * cells)
+
+    @property
+    def offsets(self) -> Numbers:
+        """When the cells are that have weight for a row, after it, in [s]."""
+        return np.asarray(self.length * np.arange(-self.reach, self.reach + 1.0))
+
+    def smoothed(self, cells: Numbers, kernel: Kernel, order: int = 0) -> Numbers:
+        """Return a smoothed derivative at the rows."""
+        return self._convolved(cells, kernel, order, self.begin, self.stride, self.rows)
+
+    def fine(self, cells: Numbers, kernel: Kernel, order: int) -> Numbers:
+        """Return a smoothed derivative at every cell, its ends' as those nearest to them."""
+        inner = self._convolved(cells, kernel, order, self.reach, 1, len(cells) - 2 * self.reach)
+        return np.pad(inner, self.reach, mode="edge")
+
+    def edges(self, cells: int) -> Numbers:
+        """Return the edges of the cells, (cells + 1,), in [s]."""
+        return np.asarray(self.first + self.length * (np.arange(cells + 1) - 0.5))
+
+    def _convolved(
+        self, cells: Numbers, kernel: Kernel, order: int, begin: int, stride: int, rows: int
+    ) -> Numbers:
+        taps = kernel.taps(self.offsets, self.length, order)
+        needed = cells[begin - self.reach : begin + self.reach + stride * (rows - 1) + 1]
+        return np.asarray(np.correlate(needed, taps, "valid")[::stride])
+
+
+class Rows:
+    """What records say at the rows of one joint's spans, which stand behind each other.
+
+    Between two spans are rows of zeros.
+    """
+
+    def __init__(
+        self, records: Sequence[JointRecord], place: int, kernel: Kernel, longest_delay: float
+    ) -> None:
+        self.record, self.place = records[place], place
+        self.kernel, self.longest_delay = kernel, longest_delay
+        self._spans: list[tuple[Grid, list[Halves]]] = []
+        for span in spans(records, self.record):
+            parts = [halves(each, span, self.record.period) for each in records]
+            cells = [each for each in parts if each is not None]
+            if len(cells) == len(parts):
+                grid = Grid.over(cells[0], kernel, longest_delay)
+                if grid is not None:
+                    self._spans.append((grid, cells))
+        self.count = sum(grid.rows for grid, _ in self._spans)
+
+    @cached_property
+    def parts(self) -> list[Numbers]:
+        """Positions [rad], velocities, accelerations of K joints, by half, (2, 3, K, R) a span."""
+        return [
+            np.array(
+                [
+                    [
+                        [grid.smoothed(each.means[half], self.kernel, order) for each in cells]
+                        for order in DERIVATIVES
+                    ]
+                    for half in (0, 1)
+                ]
+            )
+            for grid, cells in self._spans
+        ]
+
+    @cached_property
+    def motion(self) -> Numbers:
+        """The parts, joined."""
+        return _joined(self.parts)
+
+    @cached_property
+    def times(self) -> Numbers:
+        """When the rows are, (R,), in [s]; 0 between two spans."""
+        return _joined([grid.times for grid, _ in self._spans])
+
+    def effort(self, delay: float, limit: float) -> Numbers:
+        """Return the smoothed effort and its rate, (2, R), if it acts with a delay."""
+        impulse = self.record.impulse(limit)
+        parts = []
+        for grid, cells in self._spans:
+            edges = grid.edges(cells[0].means.shape[1])
+            means = np.diff(impulse(edges - delay)) / grid.length
+            parts.append(np.stack([grid.smoothed(means, self.kernel, order) for order in (0, 1)]))
+        return _joined(parts)
+
+    @cached_property
+    def _velocities(self) -> list[tuple[Grid, Halves, Numbers, NDArray[np.bool_]]]:
+        """Of each span the joint's velocity at every cell, and where its direction is in doubt."""
+        found = []
+        for grid, cells in self._spans:
+            own = cells[self.place]
+            one, other = (grid.fine(half, self.kernel, 1) for half in own.means)
+            velocity = (one + other) / 2.0
+            noise = float((one - other).std()) / 2.0
+            least = max(_SLOW_NOISE * noise, _SLOW_SHARE * float(np.sqrt(np.mean(velocity**2))))
+            found.append((grid, own, velocity, np.abs(velocity) < least))
+        return found
+
+    def smoothed(self, function: Callable[[Numbers], Numbers]) -> Numbers:
+        """Return a function of the joint's velocity, smoothed, (R,)."""
+        return _joined(
+            [grid.smoothed(function(each), self.kernel) for grid, _, each, _ in self._velocities]
+        )
+
+    def doubt(self) -> Numbers:
+        """Return which share of a row's weight lies where the direction is in doubt, (R,)."""
+        known = []
+        for grid, _, _, is_slow in self._velocities:
+            weights = np.abs(self.kernel.taps(grid.offsets, grid.length, 0))
+            slow = np.convolve(is_slow, weights / weights.sum(), "same")
+            known.append(1.0 - slow[grid.begin + grid.stride * np.arange(grid.rows)])
+        return 1.0 - _joined(known)
+
+    def reference(self) -> Numbers:
+        """Return what the reference and friction did, (B, R); B is 0 without a reference."""
+        return _joined([self._answers(*each) for each in self._velocities])
+
+    def _answers(
+        self, grid: Grid, own: Halves, velocity: Numbers, is_slow: NDArray[np.bool_]
+    ) -> Numbers:
+        if not len(own.reference):
+            return np.empty((0, grid.rows))
+        direction = np.where(is_slow, 0.0, np.sign(velocity))
+        found = []
+        for lag in _LAGS:
+            shift = round(lag / (_ROWS_PER_PERIOD * self.kernel.cutoff) / grid.length)
+            for source, orders in ((own.reference, (1, 2)), (direction, (0,))):
+                late = np.concatenate([np.full(shift, source[0]), source[: len(source) - shift]])
+                found += [grid.smoothed(late, self.kernel, order) for order in orders]
+        return np.array(found)
+
+
+def _joined(parts: Sequence[Numbers]) -> Numbers:
+    """Return the rows of several spans behind each other, with rows of zeros between them."""
+    gap = np.zeros((*parts[0].shape[:-1], _PADDING))
+    pieces = [piece for part in parts for piece in (part, gap)]
+    return np.concatenate(pieces[:-1], axis=-1)

@@ -25,15 +25,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from hpid_ros.base.units import Numbers
-from hpid_ros.tuning.joint_record import DERIVATIVES, Halves, Kernel
+from hpid_ros.tuning.joint_record import Rows, Span
 
 INERTIA = "inertia"
 VISCOUS = "viscous"
@@ -88,132 +88,6 @@ class Estimate:
     def is_positive(self) -> bool:
         """Whether the whole interval is above zero."""
         return self.low > 0.0
-
-
-_ROUNDING = 1e-6  # cells: what stamps in floating point may be off
-_ROWS_PER_PERIOD = 4  # of the kernel's cut-off frequency
-_LAGS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20)
-"""Of reference and friction, in quarters of the cut-off's period: how a loop answers, in few
-numbers."""
-_SLOW_NOISE = 5.0  # standard deviations of the velocity's noise
-_SLOW_SHARE = 0.2  # of its root mean square
-
-
-class Grid(NamedTuple):
-    """Cells of one length and the rows among them."""
-
-    first: float  # [s] middle of the first cell
-    length: float  # [s] of a cell
-    begin: int  # the cell in whose middle the first row is
-    stride: int  # cells from one row to the next
-    rows: int  # how many rows there are
-    reach: int  # cells to either side of a row that have weight
-
-    @classmethod
-    def over(cls, cells: Halves, kernel: Kernel, margin: float) -> Grid | None:
-        """Return the rows whose columns are known; None where there is no room for any."""
-        length = cells.length
-        reach = math.floor(kernel.half_width / length + _ROUNDING)
-        # Twice: a sign is smoothed of smoothed velocities.
-        begin = 2 * reach + math.ceil(margin / length - _ROUNDING)
-        stride = max(1, round(1.0 / (_ROWS_PER_PERIOD * kernel.cutoff * length)))
-        room = len(cells.even) - 2 * begin
-        if room < 1:
-            return None
-        return cls(cells.first, length, begin, stride, (room - 1) // stride + 1, reach)
-
-    @property
-    def times(self) -> Numbers:
-        """When the rows are, (R,), in [s]."""
-        cells = self.begin + self.stride * np.arange(self.rows)
-        return np.asarray(self.first + self.length * cells)
-
-    @property
-    def offsets(self) -> Numbers:
-        """When the cells are that have weight for a row, after it, in [s]."""
-        return np.asarray(self.length * np.arange(-self.reach, self.reach + 1.0))
-
-    def smoothed(self, cells: Numbers, kernel: Kernel, order: int = 0) -> Numbers:
-        """Return a smoothed derivative at the rows."""
-        return self._convolved(cells, kernel, order, self.begin, self.stride, self.rows)
-
-    def fine(self, cells: Numbers, kernel: Kernel, order: int) -> Numbers:
-        """Return a smoothed derivative at every cell, its ends' as those nearest to them."""
-        inner = self._convolved(cells, kernel, order, self.reach, 1, len(cells) - 2 * self.reach)
-        return np.pad(inner, self.reach, mode="edge")
-
-    def edges(self, cells: int) -> Numbers:
-        """Return the edges of the cells, (cells + 1,), in [s]."""
-        return np.asarray(self.first + self.length * (np.arange(cells + 1) - 0.5))
-
-    def _convolved(
-        self, cells: Numbers, kernel: Kernel, order: int, begin: int, stride: int, rows: int
-    ) -> Numbers:
-        taps = kernel.taps(self.offsets, self.length, order)
-        needed = cells[begin - self.reach : begin + self.reach + stride * (rows - 1) + 1]
-        return np.asarray(np.correlate(needed, taps, "valid")[::stride])
-
-
-class Motion(NamedTuple):
-    """A joint's motion at R rows, from either half of its samples."""
-
-    # positions [rad], velocities [rad/s], accelerations [rad/s^2], (2, 3, R)
-    halves: Numbers
-    sign: Numbers  # direction of its motion, smoothed, (R,); 1 or -1 but around a reversal
-    slow: Numbers  # which share of a row's weight lies where the direction is in doubt, (R,)
-    velocity: Numbers  # [rad/s] at every cell, (K,)
-    reference: Numbers
-
-    @property
-    def mean(self) -> Numbers:
-        """Position, velocity and acceleration, (3, R)."""
-        return np.asarray(self.halves.mean(axis=0))
-
-    @property
-    def noise(self) -> Numbers:
-        """Standard deviations of the noise in the means, (3,), by how far the halves differ."""
-        return np.asarray((self.halves[0] - self.halves[1]).std(axis=1) / 2.0)
-
-
-def motion_of(cells: Halves, grid: Grid, kernel: Kernel) -> Motion:
-    """Return a joint's motion."""
-    both = np.array(
-        [
-            [grid.smoothed(half, kernel, order) for order in DERIVATIVES]
-            for half in (cells.even, cells.odd)
-        ]
-    )
-    velocities = [grid.fine(half, kernel, 1) for half in (cells.even, cells.odd)]
-    velocity = (velocities[0] + velocities[1]) / 2.0
-    noise = float((velocities[0] - velocities[1]).std()) / 2.0
-    least = max(_SLOW_NOISE * noise, _SLOW_SHARE * float(np.sqrt(np.mean(velocity**2))))
-    is_slow = np.abs(velocity) < least
-    weights = np.abs(kernel.taps(grid.offsets, grid.length, 0))
-    slow = np.convolve(is_slow, weights / weights.sum(), "same")
-    rows = grid.begin + grid.stride * np.arange(grid.rows)
-    sign = grid.smoothed(np.sign(velocity), kernel)
-    direction = np.where(is_slow, 0.0, np.sign(velocity))
-    reference = _reference(cells.reference, direction, grid, kernel)
-    return Motion(both, sign, slow[rows], velocity, reference)
-
-
-def _reference(cells: Numbers, direction: Numbers, grid: Grid, kernel: Kernel) -> Numbers:
-    if not len(cells):
-        return np.empty((0, grid.rows))
-    found = []
-    for lag in _LAGS:
-        shift = round(lag / (_ROWS_PER_PERIOD * kernel.cutoff) / grid.length)
-        for source, orders in ((cells, (1, 2)), (direction, (0,))):
-            late = np.concatenate([np.full(shift, source[0]), source[: len(source) - shift]])
-            found += [grid.smoothed(late, kernel, order) for order in orders]
-    return np.array(found)
-
-
-def joined(parts: Sequence[Numbers], padding: int) -> Numbers:
-    """Return the rows of several spans behind each other, with rows of zeros between them."""
-    gap = np.zeros((*parts[0].shape[:-1], padding))
-    pieces = [piece for part in parts for piece in (part, gap)]
-    return np.concatenate(pieces[:-1], axis=-1)
 
 
 _LEAST_LAGS = 32  # rows; twice the width of the kernel
@@ -318,45 +192,9 @@ _PERIODS_AHEAD = 3.0
 """A measured effort may be behind the motion by its sampling; it is never far behind."""
 
 
-class Terms(NamedTuple):
-    """The motion of all spans behind each other."""
-
-    halves: Numbers  # position, velocity, acceleration of either half, (2, 3, R)
-    sign: Numbers  # direction, smoothed, (R,)
-    doubt: Numbers  # share of each row's weight where the direction is in doubt, (R,)
-    rigid: Numbers | None  # effort of the rigid bodies for either half, (2, R); None if unknown
-    static: Numbers | None  # what they need at rest, (R,), without the noise of accelerations
-    reference: Numbers  # what the reference and friction did, (B, R)
-    # smoothed column of Stribeck friction, (R,), for a Stribeck speed [rad/s]
-    stribeck: Callable[[float], Numbers]
-    spin: Numbers | None = None  # effort that rotors need besides their inertia, (R,)
-
-    @classmethod
-    def of(
-        cls,
-        motions: Sequence[Motion],
-        rigid: Sequence[Numbers] | None,
-        static: Sequence[Numbers] | None,
-        smoothed: Callable[[Callable[[Numbers], Numbers]], Numbers],
-        padding: int,
-    ) -> Terms:
-        """Join the spans."""
-        known = joined([1.0 - each.slow for each in motions], padding)
-        return cls(
-            joined([each.halves for each in motions], padding),
-            joined([each.sign for each in motions], padding),
-            1.0 - known,
-            None if rigid is None else joined(rigid, padding),
-            None if static is None else joined(static, padding),
-            joined([each.reference for each in motions], padding),
-            lambda speed: smoothed(lambda v: np.sign(v) * np.exp(-((v / speed) ** 2))),
-        )
-
-    def without(self, masks: Sequence[NDArray[np.bool_]]) -> Terms:
-        """Return the same with rows that do not count."""
-        if not masks:
-            return self
-        return self._replace(doubt=np.where(np.any(masks, axis=0), 1.0, self.doubt))
+RigidBody = Callable[[Numbers, Numbers, Numbers], Numbers]
+"""Efforts that rigid bodies need, (K, R), in [N m], for the positions, velocities and
+accelerations of K joints at R rows, each (K, R); without rotors and friction."""
 
 
 class Model(NamedTuple):
@@ -374,29 +212,43 @@ class Equation:
     """One joint's equation over all its rows."""
 
     def __init__(
-        self,
-        terms: Terms,
-        effort: Callable[[float], Numbers],
-        *,
-        period: float,
-        cutoff: float,
-        longest_delay: float,
+        self, rows: Rows, rigid_body: RigidBody | None, left_out: Sequence[Span] = ()
     ) -> None:
-        self.terms, self.cutoff, self._effort = terms, cutoff, effort
-        for doubt in _DOUBTS:
-            self.weight = np.where(terms.doubt <= doubt, 1.0, 0.0)
+        self.rows, self.limit = rows, math.inf
+        place, cutoff = rows.place, rows.kernel.cutoff
+        self.halves = rows.motion[:, :, place]
+        self.sign = rows.smoothed(np.sign)
+        self.spin: Numbers | None = None  # effort that rotors need besides their inertia, (R,)
+        self.rigid: Numbers | None = None  # effort of the rigid bodies for either half, (2, R)
+        if rigid_body is not None:
+            self.rigid = np.stack([rigid_body(*half)[place] for half in rows.motion])
+            positions = rows.motion.mean(axis=0)[0]
+            # What they need at rest, (R,), without the noise of accelerations.
+            self._static = rigid_body(positions, 0.0 * positions, 0.0 * positions)[place]
+        doubt = rows.doubt()
+        for span in left_out:
+            doubt[(rows.times >= span.begin) & (rows.times < span.end)] = 1.0
+        for most in _DOUBTS:
+            self.weight = np.where(doubt <= most, 1.0, 0.0)
             if self.used_rows >= _ENOUGH_ROWS:
                 break
         self._step = 1.0 / (_STEPS_PER_PERIOD * cutoff)
-        self._there = terms.doubt < 1.0
-        basis = np.concatenate([terms.reference, [terms.sign, np.ones_like(terms.sign)]])
+        self._there = doubt < 1.0
+        reference = rows.reference()
+        basis = np.concatenate([reference, [self.sign, np.ones_like(self.sign)]])
         known = basis[:, self._there]
         size = np.linalg.norm(known, axis=1, keepdims=True)
         self._basis = basis / np.maximum(size, 1e-300)
         self._answer = np.linalg.pinv(known / np.maximum(size, 1e-300), rcond=_LEAST_SINGULAR)
-        self._may_use_reference = len(terms.reference) > 0
+        self._may_use_reference = len(reference) > 0
         self.resolution = 1.0 / (2.0 * cutoff)
-        self._least, self._longest = -_PERIODS_AHEAD * period, longest_delay
+        self._least, self._longest = -_PERIODS_AHEAD * rows.record.period, rows.longest_delay
+
+    def limited(self, limit: float) -> Equation:
+        """Return the same equation for a drive that gives no more than a limit, in [N m]."""
+        other = copy(self)
+        other.limit = limit
+        return other
 
     @property
     def used_rows(self) -> int:
@@ -409,7 +261,7 @@ class Equation:
 
     def effort(self, delay: float) -> Numbers:
         """Return the smoothed effort that acts with a delay, (R,), in [N m]."""
-        return np.asarray(self._effort(delay)[0])
+        return np.asarray(self.rows.effort(delay, self.limit)[0])
 
     def names(self, model: Model) -> list[str]:
         """Return what the columns of a model stand for."""
@@ -431,7 +283,7 @@ class Equation:
         """Return the delay with the least residual among evenly spaced ones, in [s]."""
         basis = model._replace(has_delay=False)
         columns = self._columns(basis, np.zeros_like(self.weight)).mean(axis=0) * self.weight
-        known = 0.0 if self.terms.rigid is None or model.has_scale else self.terms.rigid.mean(0)
+        known = 0.0 if self.rigid is None or model.has_scale else self.rigid.mean(0)
         size = np.linalg.norm(columns, axis=1, keepdims=True)
         orthogonal, _ = np.linalg.qr((columns / np.maximum(size, 1e-300)).T)
 
@@ -469,14 +321,14 @@ class Equation:
     def predicted(self, model: Model, fit: Regression) -> Numbers:
         """Return the effort that a fit predicts at the rows, (R,), in [N m]."""
         columns = self._columns(model, np.zeros_like(self.weight)).mean(axis=0)
-        known = 0.0 if self.terms.rigid is None or model.has_scale else self.terms.rigid.mean(0)
+        known = 0.0 if self.rigid is None or model.has_scale else self.rigid.mean(0)
         return np.asarray(fit.values @ columns + known)
 
     def _fit(self, model: Model, delay: float) -> Regression:
-        effort, rate = self._effort(delay)
+        effort, rate = self.rows.effort(delay, self.limit)
         target = np.stack([effort, effort])
-        if self.terms.rigid is not None and not model.has_scale:
-            target = target - self.terms.rigid
+        if self.rigid is not None and not model.has_scale:
+            target = target - self.rigid
         columns = self._columns(model, rate)
         instruments = self._instruments(model, columns.mean(axis=0))
         if instruments is None:
@@ -486,7 +338,7 @@ class Equation:
 
     def uses_reference(self, model: Model, delay: float) -> bool:
         """Return whether the reference is the source of a model's instruments."""
-        columns = self._columns(model, self._effort(delay)[1])
+        columns = self._columns(model, self.rows.effort(delay, self.limit)[1])
         return self._instruments(model, columns.mean(axis=0)) is not None
 
     def _instruments(self, model: Model, columns: Numbers) -> Numbers | None:
@@ -502,10 +354,9 @@ class Equation:
         for place in noisy:
             instruments[place] = self._of_reference(columns[place])
         if model.has_scale:
-            assert self.terms.static is not None
             place = self.names(model).index(EFFORT_SCALE)
-            moving = columns[place] - self.terms.static
-            instruments[place] = self.terms.static + self._of_reference(moving)
+            moving = columns[place] - self._static
+            instruments[place] = self._static + self._of_reference(moving)
             noisy.append(place)
         growth = _variance_growth(instruments * self.weight, columns * self.weight)[noisy]
         return instruments if float(np.max(growth)) < _MOST_GROWTH else None
@@ -521,22 +372,23 @@ class Equation:
 
     def _columns(self, model: Model, rate: Numbers) -> Numbers:
         """Return the columns of a model for either half, (2, P, R)."""
-        terms = self.terms
-        position, velocity, acceleration = np.moveaxis(terms.halves, 1, 0)
+        position, velocity, acceleration = np.moveaxis(self.halves, 1, 0)
         columns = [acceleration, velocity]
         if model.has_coulomb:
-            columns.append(_twice(terms.sign))
+            columns.append(_twice(self.sign))
         if model.stribeck_speed:
-            columns.append(_twice(terms.stribeck(model.stribeck_speed)))
+            speed = model.stribeck_speed
+            creep = self.rows.smoothed(lambda v: np.sign(v) * np.exp(-((v / speed) ** 2)))
+            columns.append(_twice(creep))
         if model.has_gravity:
             columns += [np.sin(position), np.cos(position)]
         columns.append(np.ones_like(position))
         if model.has_scale:
-            assert terms.rigid is not None
-            columns.append(terms.rigid)
+            assert self.rigid is not None
+            columns.append(self.rigid)
         if model.has_spin:
-            assert terms.spin is not None
-            columns.append(_twice(terms.spin))
+            assert self.spin is not None
+            columns.append(_twice(self.spin))
         if model.has_delay:
             columns.append(_twice(rate))
         return np.stack(columns, axis=1)

@@ -136,24 +136,23 @@ def nothing(record: JointRecord, reason: str) -> JointIdentification:
     return JointIdentification(record.joint, unreliable={record.joint: reason}, travel=travel)
 
 
-def findings(
-    record: JointRecord, equation: Equation, times: Numbers, has_scale: bool
-) -> JointIdentification:
+def findings(equation: Equation, has_scale: bool) -> JointIdentification:
     """Return what an equation says of its joint."""
-    choice = _chosen(equation, has_scale)
+    choice, rows = _chosen(equation, has_scale), equation.rows
+    joint = rows.record.joint
     used = equation.weight > 0.0
-    position, velocity, acceleration = equation.terms.halves.mean(axis=0)
+    position, velocity, acceleration = equation.halves.mean(axis=0)
     effort = equation.effort(choice.delay)
     level = max(float(np.var(effort[used])), 1e-300)
     explained = 1.0 - choice.fit.rms**2 / level
     facts = JointIdentification(
-        record.joint,
+        joint,
         method="instrumental variables",
         why=_why(equation, choice),
         remarks=_remarks(equation, choice),
-        cutoff=equation.cutoff,
+        cutoff=rows.kernel.cutoff,
         rows=equation.used_rows,
-        time=equation.used_rows * float(np.median(np.diff(times))),
+        time=equation.used_rows * float(np.median(np.diff(rows.times))),
         stribeck_speed=choice.model.stribeck_speed,
         residual=choice.fit.rms,
         explained=max(explained, 0.0),
@@ -161,14 +160,15 @@ def findings(
         travel=float(np.ptp(position[used])),
         speed=float(np.abs(velocity[used]).max()),
         acceleration=float(np.abs(acceleration[used]).max()),
-        fit=_drawn(equation, choice, times, effort),
+        effort_limit=equation.limit,
+        fit=_drawn(equation, choice, effort),
     )
     if explained < _LEAST_EXPLAINED:
         reason = (
             f"its motion explains only {max(explained, 0.0):.0%} of its efforts: other joints "
             "move it, it touches something, or these are not its efforts"
         )
-        return replace(facts, unreliable={record.joint: reason})
+        return replace(facts, unreliable={joint: reason})
     estimates = _estimates(equation, choice)
     scale = estimates.get(EFFORT_SCALE)
     if scale is not None and scale.is_reliable and scale.high < 0.0:
@@ -179,7 +179,7 @@ def findings(
             "it moved in one direction only, in which friction is a constant load: "
             f"{_HELP[COULOMB]}"
         )
-    if equation.terms.rigid is None and not choice.model.has_gravity:
+    if equation.rigid is None and not choice.model.has_gravity:
         unreliable[GRAVITY_SIN] = (
             f"over {facts.travel:.2g} rad it is no other than a constant load, or there is none: "
             f"{_HELP[GRAVITY_SIN]}"
@@ -188,7 +188,7 @@ def findings(
 
 
 def _why(equation: Equation, choice: _Choice) -> str:
-    halves = equation.terms.halves[:, 2]
+    halves = equation.halves[:, 2]
     noise = float(np.var(halves[0] - halves[1])) / 4.0
     share = noise / max(float(np.var(halves.mean(axis=0))), 1e-300)
     used = _INSTRUMENTS[equation.uses_reference(choice.model, choice.delay)]
@@ -198,8 +198,8 @@ def _why(equation: Equation, choice: _Choice) -> str:
 def _chosen(equation: Equation, has_scale: bool) -> _Choice:
     """Choose the terms, one after the other, by whether the data carry them."""
     used = equation.weight > 0.0
-    backward = float(np.mean(equation.terms.sign[used] < 0.0))
-    is_free = equation.terms.rigid is None
+    backward = float(np.mean(equation.sign[used] < 0.0))
+    is_free = equation.rigid is None
     model = Model(
         has_coulomb=_ONE_WAY <= backward <= 1.0 - _ONE_WAY,
         has_gravity=is_free,
@@ -211,7 +211,7 @@ def _chosen(equation: Equation, has_scale: bool) -> _Choice:
     if is_free and not _is_gravity(equation, choice):
         model = model._replace(has_gravity=False)
         choice = _Choice(model, *equation.solve(model, choice.delay))
-    if equation.terms.spin is not None:
+    if equation.spin is not None:
         choice = _with_spin(equation, choice)
     return _with_stribeck(equation, choice) if model.has_coulomb else choice
 
@@ -219,7 +219,7 @@ def _chosen(equation: Equation, has_scale: bool) -> _Choice:
 def _is_gravity(equation: Equation, choice: _Choice) -> bool:
     """Return whether a part of the effort changes with the position, and not by chance."""
     names, used = equation.names(choice.model), equation.weight > 0.0
-    position = equation.terms.halves.mean(axis=0)[0][used]
+    position = equation.halves.mean(axis=0)[0][used]
     a, b = (float(choice.fit.values[names.index(each)]) for each in (GRAVITY_SIN, GRAVITY_COS))
     part = np.std(a * np.sin(position) + b * np.cos(position))
     is_felt = bool(part > _FELT * np.std(equation.effort(choice.delay)[used]))
@@ -254,7 +254,7 @@ def _remarks(equation: Equation, choice: _Choice) -> tuple[str, ...]:
 
 def _with_stribeck(equation: Equation, plain: _Choice) -> _Choice:
     """Add Stribeck friction if the data carry it: less friction at speed than at creep."""
-    velocity = equation.terms.halves.mean(axis=0)[1]
+    velocity = equation.halves.mean(axis=0)[1]
     speeds = np.abs(velocity[equation.weight > 0.0])
     fastest, slowest = float(speeds.max()), float(np.quantile(speeds, _CREEPING))
     best = plain
@@ -283,7 +283,7 @@ def _estimates(equation: Equation, choice: _Choice) -> dict[str, Estimate]:
         found[name] = Estimate(value, width, _doubt(equation, choice, place, value, width))
     if choice.model.has_scale:
         found = _scaled(found)
-    elif equation.terms.rigid is not None:
+    elif equation.rigid is not None:
         found[EFFORT_SCALE] = _scale_beside(equation, choice)
         if found[EFFORT_SCALE].reason == _NO_UNIT:
             found |= {
@@ -361,7 +361,8 @@ def _like(equation: Equation, choice: _Choice, place: int) -> str:
     return f", as its motion does not tell it from {_ALIKE[names[int(np.argmax(likeness))]]}"
 
 
-def _drawn(equation: Equation, choice: _Choice, times: Numbers, effort: Numbers) -> Fit:
+def _drawn(equation: Equation, choice: _Choice, effort: Numbers) -> Fit:
+    times = equation.rows.times
     is_between = times == 0.0  # no row is at the first sample
     hole = np.where(is_between, np.nan, 1.0)
     return Fit(
