@@ -83,13 +83,13 @@ def margins_of(loop: FrozenLoop) -> Margins:
         )
     grid = frequency_grid(loop)
     response = loop.response(grid)
-    crossovers = _roots(lambda w: np.log(np.abs(loop.response(w))), grid, np.log(np.abs(response)))
+    crossovers = roots(lambda w: np.log(np.abs(loop.response(w))), grid, np.log(np.abs(response)))
     spare = [_spare_phase(loop, each) for each in crossovers]
     factors = _critical_factors(loop, grid, response)
-    disk, _ = _peak(lambda w: _distance(loop.response(w)), grid, _distance(response))
-    sensitivity, s_at = _peak(lambda w: _s(loop.response(w)), grid, _s(response))
-    complementary, t_at = _peak(lambda w: _t(loop.response(w)), grid, _t(response))
-    fallen = _roots(lambda w: _t(loop.response(w)) - _HALF_POWER, grid, _t(response) - _HALF_POWER)
+    disk, _ = peak(lambda w: _distance(loop.response(w)), grid, _distance(response))
+    sensitivity, s_at = peak(lambda w: _s(loop.response(w)), grid, _s(response))
+    complementary, t_at = peak(lambda w: _t(loop.response(w)), grid, _t(response))
+    fallen = roots(lambda w: _t(loop.response(w)) - _HALF_POWER, grid, _t(response) - _HALF_POWER)
     return Margins(
         gain=min((each for each in factors if each > 1.0), default=math.inf),
         gain_reduction=max((each for each in factors if each <= 1.0), default=0.0),
@@ -154,12 +154,12 @@ def _critical_factors(loop: FrozenLoop, grid: Numbers, response: Complexes) -> l
     """Return the factors that would bring the response to -1 at some frequency."""
     # At the Nyquist frequency the response is real, and its imaginary part mere rounding.
     inner, values = grid[:-1], response[:-1]
-    places = _roots(lambda w: np.imag(loop.response(w)), inner, np.imag(values))
+    places = roots(lambda w: np.imag(loop.response(w)), inner, np.imag(values))
     real = np.real(loop.response(np.array([*places, grid[-1]])))
     return [-1.0 / float(each) for each in real if each < 0.0]
 
 
-def _roots(function: Callable[[Numbers], Numbers], grid: Numbers, values: Numbers) -> list[float]:
+def roots(function: Callable[[Numbers], Numbers], grid: Numbers, values: Numbers) -> list[float]:
     """Return where a function changes its sign without a jump."""
     found = []
     for k in np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1])):
@@ -177,7 +177,7 @@ def _roots(function: Callable[[Numbers], Numbers], grid: Numbers, values: Number
     return found
 
 
-def _peak(
+def peak(
     function: Callable[[Numbers], Numbers], grid: Numbers, values: Numbers
 ) -> tuple[float, float]:
     """Return the largest value of a function, and where it is."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import random
 import re
-import struct
 import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from ctypes import c_float
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -76,6 +76,9 @@ class Field(NamedTuple):
         """The member's name."""
         return self.parameter.replace(".", "_")
 
+    def enumerator(self, prefix: str, choice: str) -> str:
+        return f"{prefix}_{self.name}_{choice}".upper()
+
 
 def _field(parameter: str) -> Field:
     spec = LOOP_PARAMETERS[parameter]
@@ -111,15 +114,6 @@ def exported_values(settings: LoopSettings) -> dict[str, Value]:
     return {field.parameter: values[field.parameter] for field in FIELDS}
 
 
-def to_single(number: float) -> float:
-    """Return a number rounded to single precision, infinite where it has none there."""
-    try:
-        (rounded,) = struct.unpack("f", struct.pack("f", number))
-    except OverflowError:
-        return math.copysign(math.inf, number)
-    return float(rounded)
-
-
 def in_single(settings: LoopSettings) -> LoopSettings:
     """Return settings with the numbers rounded to single precision, but for two times."""
     values = settings.to_parameters()
@@ -127,7 +121,7 @@ def in_single(settings: LoopSettings) -> LoopSettings:
         value = values[name]
         if name in _TIMES or value == PARAMETERS[name].default:  # which some of them must have
             continue
-        values[name] = to_single(float(value))
+        values[name] = c_float(float(value)).value
         if value and not values[name]:
             raise SettingError(f"{settings.joint}: {name} = {value:g} is 0 in single precision")
     try:
@@ -255,7 +249,8 @@ def _answered(
 
 def _rounded(state: GoldenRow) -> GoldenRow:
     stamp_ns, *numbers = state
-    return GoldenRow(stamp_ns, *(None if each is None else to_single(each) for each in numbers))  # type: ignore[arg-type]
+    rounded = (None if each is None else c_float(each).value for each in numbers)
+    return GoldenRow(stamp_ns, *rounded)  # type: ignore[arg-type]
 
 
 def _gains(settings: LoopSettings) -> dict[str, float]:
@@ -373,7 +368,6 @@ def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[s
     if precision == "single":
         in_single(settings)
     name = c_name(settings.joint)
-    fields = [_member(name, field, values[field.parameter]) for field in FIELDS]
     texts = {
         "c": name,
         "C": name.upper(),
@@ -381,16 +375,14 @@ def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[s
         "source": _plain(source),
         "version": __version__,
         "is_single": precision == "single",
-        "fields": fields,
-        "choices": [_choice(name, field) for field in FIELDS if field.choices],
+        "fields": FIELDS,
+        "values": values,
         "golden": golden_vectors(settings),
-        "turn": _number(math.tau),
-        "pi": _number(math.pi),
-        "largest_position": _number(LARGEST_POSITION),
-        "least_wrap": _number(LEAST_WRAP),
-        "largest_motion": _number(LARGEST_MOTION),
-        "error_scale": _default("norm.error_scale"),
-        "rate_weight": _default("norm.rate_weight"),
+        "math": math,
+        "largest_position": LARGEST_POSITION,
+        "least_wrap": LEAST_WRAP,
+        "largest_motion": LARGEST_MOTION,
+        "parameters": LOOP_PARAMETERS,
     }
     templates = _templates()
     return {
@@ -399,46 +391,8 @@ def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[s
     }
 
 
-def _member(name: str, field: Field, value: Value) -> dict[str, str | None]:
-    """Return a member of the settings, as texts of C."""
-    kind, text = "bool", "true" if value else "false"
-    least = most = None
-    if field.range is not None:
-        kind = f"{name}_real"
-        text, least, most = (_real(float(each)) for each in (value, *field.range))
-    elif field.choices:
-        kind, text = f"{name}_{field.name}", _enumerator(name, field, str(value))
-    return {
-        "name": field.name,
-        "type": kind,
-        "description": field.description,
-        "value": text,
-        "minimum": least,
-        "maximum": most,
-    }
-
-
-def _choice(name: str, field: Field) -> dict[str, Any]:
-    """Return an enumeration of what a setting may say."""
-    enumerators = [_enumerator(name, field, each) for each in field.choices]
-    return {"field": field.name, "description": field.description, "enumerators": enumerators}
-
-
-def _enumerator(name: str, field: Field, choice: str) -> str:
-    return f"{name}_{field.name}_{choice}".upper()
-
-
-def _default(parameter: str) -> str:
-    return _real(float(LOOP_PARAMETERS[parameter].default))
-
-
-def _number(value: float) -> str:
-    """Return a finite number with as many digits as tell it from every other."""
-    return repr(float(value))
-
-
 def _real(value: float) -> str:
-    return f"REAL({_number(value)})"
+    return f"REAL({_double(value)})"
 
 
 def _double(value: float | None) -> str:
@@ -449,7 +403,7 @@ def _double(value: float | None) -> str:
         return "NAN"
     if math.isinf(value):
         return "INFINITY" if value > 0.0 else "-INFINITY"
-    return _number(value)
+    return repr(float(value))  # as many digits as tell it from every other number
 
 
 def _comment(text: str, indent: int = 0) -> str:
@@ -474,6 +428,5 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["double"] = _double
-    environment.filters["comment"] = _comment
+    environment.filters.update(real=_real, double=_double, comment=_comment)
     return environment

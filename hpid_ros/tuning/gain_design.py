@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, minimize_scalar
 
 from hpid_ros.base.errors import GainError, SettingError, unknown_name
 from hpid_ros.base.units import Numbers
@@ -21,6 +20,7 @@ from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.closed_loop import DegreeInterval
 from hpid_ros.stability.gain_check import Loop, certified_degrees
+from hpid_ros.stability.margins import peak, roots
 
 
 class SeriesPid(NamedTuple):
@@ -120,12 +120,10 @@ class _Loop:
     def __init__(self, gains: Gains, inertia: float, delay: float, filter_time: float) -> None:
         self._gains, self._inertia = gains, inertia
         self.delay, self._filter_time = delay, filter_time
-        middle = math.log10(gains.d / inertia)
-        self.frequencies: Numbers = np.logspace(middle - _DECADES, middle + _DECADES, _POINTS)
 
-    def response(self, frequency: float | Numbers) -> NDArray[np.complex128]:
+    def response(self, frequency: Numbers) -> NDArray[np.complex128]:
         """Return L(jw)."""
-        s = 1j * np.asarray(frequency)
+        s = 1j * frequency
         derivative = self._gains.d * s / (self._filter_time * s + 1.0)
         controller = self._gains.p + self._gains.i / s + derivative
         values: NDArray[np.complex128] = (
@@ -133,18 +131,20 @@ class _Loop:
         )
         return values
 
-    def gain(self, frequency: float | Numbers) -> Numbers:
+    def gain(self, frequency: Numbers) -> Numbers:
         """Return the logarithm of the gain."""
         return np.asarray(np.log(np.abs(self.response(frequency))))
 
-    def phase(self, frequency: float | Numbers) -> Numbers:
+    def sensitivity(self, frequency: Numbers) -> Numbers:
+        return np.asarray(1.0 / np.abs(1.0 + self.response(frequency)))
+
+    def phase(self, frequency: Numbers) -> Numbers:
         """Return the phase beyond -180 degrees in [rad]: positive is what may be lost.
 
         Continuous in the frequency, since each factor's angle is: i - p w^2 + j d' w with the
         filter's angle and the delay's taken off.
         """
-        w = np.asarray(frequency)
-        g, tau = self._gains, self._filter_time
+        w, g, tau = frequency, self._gains, self._filter_time
         # (p + i/s)(tau s + 1) + d s over s: numerator (d + p tau) s^2 + (p + i tau) s + i.
         numerator = np.angle(g.i - (g.d + g.p * tau) * w**2 + 1j * (g.p + g.i * tau) * w)
         return np.asarray(numerator - np.arctan(tau * w) - 0.5 * math.pi - self.delay * w)
@@ -160,45 +160,27 @@ def loop_margins(
     """
     require_hurwitz(gains, inertia)
     loop = _Loop(gains, inertia, delay, filter_time)
-    bare = _Loop(gains, inertia, 0.0, filter_time)
-    crossovers = _roots(loop.gain, loop.frequencies)
-    tolerable = min(float(bare.phase(w)) / w for w in crossovers)
+    middle = math.log10(gains.d / inertia)
+    grid: Numbers = np.logspace(middle - _DECADES, middle + _DECADES, _POINTS)
+    crossovers = np.array(roots(loop.gain, grid, loop.gain(grid)))
+    tolerable = float(np.min(loop.phase(crossovers) / crossovers)) + delay
     if tolerable <= delay:
         raise GainError(
             f"the loop of p {gains.p:g}, i {gains.i:g}, d {gains.d:g} on {inertia:g} kg m^2 is "
             f"unstable with a velocity filter of {filter_time:g} s and a delay of {delay:g} s: "
             f"it tolerates {max(tolerable, 0.0):.3g} s"
         )
-    factors = [math.exp(-float(loop.gain(w))) for w in _roots(loop.phase, loop.frequencies)]
+    critical = np.array(roots(loop.phase, grid, loop.phase(grid)))
+    factors = np.exp(-loop.gain(critical)).tolist()
     return RobustnessMargins(
         gain=min((each for each in factors if each > 1.0), default=math.inf),
         gain_reduction=max((each for each in factors if each <= 1.0), default=0.0),
-        phase=min(float(loop.phase(w)) for w in crossovers),
+        phase=float(np.min(loop.phase(crossovers))),
         delay=tolerable - delay,
-        sensitivity=_sensitivity(loop),
-        crossover=max(crossovers),
+        # It is 1 far above the crossover.
+        sensitivity=max(peak(loop.sensitivity, grid, loop.sensitivity(grid))[0], 1.0),
+        crossover=float(np.max(crossovers)),
     )
-
-
-def _roots(function: Callable[[float | Numbers], Numbers], frequencies: Numbers) -> list[float]:
-    """Return where a function of the frequency changes its sign."""
-    values = function(frequencies)
-    changes = np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1]))
-    return [
-        float(brentq(function, frequencies[k], frequencies[k + 1], xtol=1e-14, rtol=1e-13))
-        for k in changes
-    ]
-
-
-def _sensitivity(loop: _Loop) -> float:
-    """Return the largest magnitude of 1 / (1 + L), which is 1 far above the crossover."""
-    distances = np.abs(1.0 + loop.response(loop.frequencies))
-    k = int(np.argmin(distances))
-    low, high = (loop.frequencies[j] for j in (max(k - 1, 0), min(k + 1, _POINTS - 1)))
-    nearest = minimize_scalar(
-        lambda w: float(np.abs(1.0 + loop.response(w))), bounds=(low, high), method="bounded"
-    )
-    return 1.0 / min(float(nearest.fun), float(distances[k]), 1.0)
 
 
 _INERTIA_DIGITS, _GAIN_DIGITS = 3, 6

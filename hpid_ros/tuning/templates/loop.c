@@ -55,15 +55,15 @@ typedef {{ c }}_state State;
 #endif
 
 /* Positions, velocities and references beyond this are no joint's [rad, rad/s]. */
-#define LARGEST_POSITION REAL({{ largest_position }})
+#define LARGEST_POSITION {{ largest_position|real }}
 
 /* No encoder begins anew after less [rad]. */
-#define LEAST_WRAP REAL({{ least_wrap }})
+#define LEAST_WRAP {{ least_wrap|real }}
 
 /* A limit of position or velocity of this size is none [rad, rad/s]. */
-#define LARGEST_MOTION REAL({{ largest_motion }})
+#define LARGEST_MOTION {{ largest_motion|real }}
 
-#define TURN REAL({{ turn }}) /* [rad] */
+#define TURN {{ math.tau|real }} /* [rad] */
 #define NANOSECOND REAL(1e-9) /* [s] */
 #define SLOPE_MARGIN REAL(1e-6) /* of ln n */
 #define HALF REAL(1e-9) /* of a turn: as much more than half of one is half of one */
@@ -71,7 +71,8 @@ typedef {{ c }}_state State;
 
 const {{ c }}_settings_type {{ c }}_settings = {
 {% for field in fields %}
-    .{{ field.name }} = {{ field.value }}{{ "," if not loop.last }}
+{% set value = values[field.parameter] %}
+    .{{ field.name }} = {{ value|real if field.range else field.enumerator(C, value) if field.choices else value|lower }}{{ "," if not loop.last }}
 {% endfor %}
 };
 
@@ -571,11 +572,11 @@ static void sample_reference(State *loop, int64_t stamp_ns, Real position, Real 
 static bool are_in_range(const Settings *s)
 {
     return
-{% for field in fields if field.minimum is not none %}
-        is_within(s->{{ field.name }}, {{ field.minimum }}, {{ field.maximum }}) &&
+{% for field in fields if field.range %}
+        is_within(s->{{ field.name }}, {{ field.range[0]|real }}, {{ field.range[1]|real }}) &&
 {% endfor %}
-{% for choice in choices %}
-        (unsigned)s->{{ choice.field }} <= (unsigned){{ choice.enumerators[-1] }}{{ ";" if loop.last else " &&" }}
+{% for field in fields if field.choices %}
+        (unsigned)s->{{ field.name }} <= (unsigned){{ field.enumerator(C, field.choices[-1]) }}{{ ";" if loop.last else " &&" }}
 {% endfor %}
 }
 
@@ -627,8 +628,8 @@ static bool set_norm(const Settings *s, Coefficients *c)
         s->discretization == {{ C }}_DISCRETIZATION_EXPLICIT;
     c->degree = s->law == {{ C }}_LAW_HPID ? s->mu : REAL(0.0);
     if (s->norm_effort_scale > 0) {
-        if (s->gains_p <= 0 || s->gains_d <= 0 || scale != {{ error_scale }} ||
-            weight != {{ rate_weight }})
+        if (s->gains_p <= 0 || s->gains_d <= 0 || scale != {{ parameters["norm.error_scale"].default|real }} ||
+            weight != {{ parameters["norm.rate_weight"].default|real }})
             return false;
         scale = s->norm_effort_scale / s->gains_p;
         weight = s->gains_d / s->norm_effort_scale;
@@ -708,7 +709,7 @@ static void set_limits(const Settings *s, Coefficients *c)
 
     allowance = s->position_step_max;
     if (allowance == 0)
-        allowance = has_speed ? REAL(0.1) : REAL({{ pi }});
+        allowance = has_speed ? REAL(0.1) : {{ math.pi|real }};
     speed = has_speed ? REAL(2.0) * s->velocity_max : REAL(0.0);
     c->step_max = allowance + speed * s->control_period;
     c->speed_max = speed;

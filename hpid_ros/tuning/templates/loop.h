@@ -44,14 +44,14 @@ typedef double {{ c }}_real;
 #ifdef __cplusplus
 extern "C" {
 #endif
-{% for choice in choices %}
+{% for field in fields if field.choices %}
 
-/* {{ choice.description|comment }} */
-typedef enum {{ c }}_{{ choice.field }} {
-{% for each in choice.enumerators %}
-    {{ each }}{{ "," if not loop.last }}
+/* {{ field.description|comment }} */
+typedef enum {{ c }}_{{ field.name }} {
+{% for each in field.choices %}
+    {{ field.enumerator(C, each) }}{{ "," if not loop.last }}
 {% endfor %}
-} {{ c }}_{{ choice.field }};
+} {{ c }}_{{ field.name }};
 {% endfor %}
 
 /*
@@ -61,7 +61,7 @@ typedef enum {{ c }}_{{ choice.field }} {
 typedef struct {{ c }}_settings_type {
 {% for field in fields %}
     /* {{ field.description|comment(4) }} */
-    {{ field.type }} {{ field.name }};
+    {{ c ~ "_real" if field.range else c ~ "_" ~ field.name if field.choices else "bool" }} {{ field.name }};
 {% endfor %}
 } {{ c }}_settings_type;
 
