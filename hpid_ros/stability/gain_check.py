@@ -156,13 +156,7 @@ class DegreeChecker:
             raise SettingError(
                 f"the inertia of {settings.joint!r} is not known: set its parameter inertia"
             )
-        if is_hurwitz(settings.gains, settings.plant_inertia):
-            return ""
-        gains, inertia = settings.gains, settings.plant_inertia
-        return (
-            f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed "
-            f"i x inertia = {gains.i * inertia:g}"
-        )
+        return _instability(settings.gains, settings.plant_inertia)
 
     def refusal(self, settings: LoopSettings) -> str:
         """Return why a loop is not certified, in one line; empty if it is.
@@ -179,6 +173,15 @@ class DegreeChecker:
         if key not in self._known:
             self._known[key] = _reason(settings)
         return self._known[key]
+
+
+def _instability(gains: Gains, inertia: float) -> str:
+    if is_hurwitz(gains, inertia):
+        return ""
+    return (
+        f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed i x inertia = "
+        f"{gains.i * inertia:g}"
+    )
 
 
 def _reason(settings: LoopSettings) -> str:
@@ -340,13 +343,8 @@ def _verdict(
             bound = _settling_bound(settings, degree, inertia, found.certificate)
         elif settings.law == "hpid":
             reason = f"mu = {degree:g} is outside the certified interval"
-    elif not is_hurwitz(gains, high):
-        reason = (
-            f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed i x inertia = "
-            f"{gains.i * high:g}"
-        )
-    elif degree != 0.0:  # Hurwitz decides for the linear law
-        reason = str(found)
+    else:  # Hurwitz decides for the linear law
+        reason = _instability(gains, high) or (str(found) if degree != 0.0 else "")
     return GainVerdict(
         joint=settings.joint,
         law=settings.law,

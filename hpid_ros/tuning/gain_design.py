@@ -23,49 +23,23 @@ from hpid_ros.stability.gain_check import Loop, certified_degrees
 from hpid_ros.stability.margins import peak, roots
 
 
-class SeriesPid(NamedTuple):
-    """A PID in series form, C(s) = gain (1 + 1 / (integral_time s)) (derivative_time s + 1)."""
-
-    gain: float  # [N m/rad] Kc
-    integral_time: float  # [s] tau_I
-    derivative_time: float  # [s] tau_D
-
-    def parallel(self) -> Gains:
-        """Return the same controller in parallel form.
-
-        Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller
-        tuning", Journal of Process Control 13 (2003) 291-309, section on the ideal form:
-        Kc' = Kc (1 + tau_D / tau_I), Kc' / tau_I' = Kc / tau_I, Kc' tau_D' = Kc tau_D.
-        """
-        return Gains(
-            p=self.gain * (1.0 + self.derivative_time / self.integral_time),
-            i=self.gain / self.integral_time,
-            d=self.gain * self.derivative_time,
-        )
-
-
-def simc_series(inertia: float, closed_loop_time: float, delay: float = 0.0) -> SeriesPid:
-    r"""Return the SIMC tuning of a double integrating process with delay, in series form.
+def simc(inertia: float, closed_loop_time: float, delay: float = 0.0) -> Gains:
+    r"""Return the SIMC tuning of a double integrating process with delay, in parallel form.
 
     .. math::
         K_c = \frac{1}{k''} \frac{1}{4 (\tau_c + \theta)^2}, \qquad
         \tau_I = \tau_D = 4 (\tau_c + \theta)
 
-    with :math:`k'' = 1/m`.
+    with :math:`k'' = 1/m` in series form, K_c (1 + 1 / (tau_I s)) (tau_D s + 1). In parallel form,
+    with T = tau_c + theta: p = m / (2 T^2), i = m / (16 T^3), d = m / T.
 
     Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
-    Journal of Process Control 13 (2003) 291-309, Table 1, row "Double integrating".
+    Journal of Process Control 13 (2003) 291-309, Table 1, row "Double integrating", and the
+    section on the ideal form.
     """
-    time = _checked(inertia, closed_loop_time, delay)
-    return SeriesPid(inertia / (4.0 * time**2), 4.0 * time, 4.0 * time)
-
-
-def simc(inertia: float, closed_loop_time: float, delay: float = 0.0) -> Gains:
-    """Return :func:`simc_series` in parallel form.
-
-    With T = tau_c + theta: p = m / (2 T^2), i = m / (16 T^3), d = m / T.
-    """
-    return simc_series(inertia, closed_loop_time, delay).parallel()
+    time = 4.0 * _checked(inertia, closed_loop_time, delay)
+    gain = 4.0 * inertia / time**2
+    return Gains(p=2.0 * gain, i=gain / time, d=gain * time)
 
 
 def pole_placement(inertia: float, closed_loop_time: float, delay: float = 0.0) -> Gains:
@@ -294,8 +268,5 @@ def _rounded(value: float, digits: int) -> float:
 
 def number_text(value: float) -> str:
     """Return a number to six digits, as YAML reads it as one: with a point."""
-    text = f"{value:.{_GAIN_DIGITS}g}"
-    if "e" in text:
-        mantissa, exponent = text.split("e")
-        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}"
-    return text if "." in text else f"{text}.0"
+    mantissa, mark, exponent = f"{value:.{_GAIN_DIGITS}g}".partition("e")
+    return f"{mantissa if '.' in mantissa else mantissa + '.0'}{mark}{exponent}"

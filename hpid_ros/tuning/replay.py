@@ -14,8 +14,8 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.units import NANOSECONDS
@@ -154,24 +154,7 @@ class _Branch:
     def copy(self, cost: float = 0.0, note: str = "") -> _Branch:
         """Return a branch that goes its own way from here on."""
         notes = (*self.notes, note) if note else self.notes
-        return _Branch(_copied(self.loop), self.received, self.cost + cost, notes)
-
-
-def _copied(loop: JointLoop) -> JointLoop:
-    """Return a loop that shares nothing that changes."""
-    memo: dict[int, Any] = {}
-    _keep(loop.settings, memo)
-    return deepcopy(loop, memo)
-
-
-def _keep(record: object, memo: dict[int, Any]) -> None:
-    """Have a copy share a frozen record and all that is in it."""
-    memo[id(record)] = record
-    if is_dataclass(record):
-        for each in fields(record):
-            value = getattr(record, each.name)
-            if is_dataclass(value):
-                _keep(value, memo)
+        return _Branch(deepcopy(self.loop), self.received, self.cost + cost, notes)
 
 
 def replay_joint(record: JointRecord) -> JointVerdict:

@@ -18,7 +18,7 @@ from hpid_ros.experiment.description import initial_inertias, load_experiment
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.dynamics import wheel_inertias
-from hpid_ros.tuning.gain_design import RULES, loop_margins, pole_placement, simc, simc_series
+from hpid_ros.tuning.gain_design import RULES, loop_margins, pole_placement, simc
 
 EXPERIMENTS = sorted((share_folder() / "config" / "experiments").glob("*.yaml"))
 inertias = st.floats(1e-4, 10.0)
@@ -38,16 +38,14 @@ def test_pole_placement_puts_three_poles_in_one_place(inertia, time):
 
 @given(inertias, times, st.floats(0.0, 1.0), st.floats(0.1, 50.0))
 def test_the_parallel_form_is_the_series_form(inertia, time, delay, frequency):
-    series = simc_series(inertia, time, delay)
-    gains = simc(inertia, time, delay)
-    s = 1j * frequency
-    factors = (1.0 + 1.0 / (series.integral_time * s)) * (1.0 + series.derivative_time * s)
-    assert gains.p + gains.i / s + gains.d * s == pytest.approx(series.gain * factors, rel=1e-12)
+    """Skogestad 2003, table 1: Kc = 1/k'' / (4 (tau_c + theta)^2), tau_I = tau_D."""
+    gains, s, tau = simc(inertia, time, delay), 1j * frequency, 4.0 * (time + delay)
+    series = inertia / (0.25 * tau**2) * (1.0 + 1.0 / (tau * s)) * (1.0 + tau * s)
+    assert gains.p + gains.i / s + gains.d * s == pytest.approx(series, rel=1e-12)
 
 
-def test_simc_is_the_row_of_its_table_and_has_the_margins_that_its_source_states():
-    """Skogestad 2003: Kc = 1/k'' / (4 (tau_c + theta)^2); exp(-s)/s^2, tau_c = theta: Ms 1.96."""
-    assert simc_series(0.5, 0.3, 0.2) == pytest.approx((0.5, 2.0, 2.0))
+def test_simc_has_the_margins_that_its_source_states():
+    """Skogestad 2003: exp(-s)/s^2, tau_c = theta: Ms 1.96."""
     margins = loop_margins(simc(1.0, 1.0, 1.0), 1.0, delay=1.0)
     assert margins.sensitivity == pytest.approx(1.96, abs=0.005)
 
