@@ -84,11 +84,6 @@ class Estimate:
         """Whether it can be relied on."""
         return not self.reason
 
-    @property
-    def is_positive(self) -> bool:
-        """Whether the whole interval is above zero."""
-        return self.low > 0.0
-
 
 _LEAST_LAGS = 32  # rows; twice the width of the kernel
 _UNCORRELATED = 0.05

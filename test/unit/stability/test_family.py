@@ -88,7 +88,6 @@ def test_the_norm_reaches_from_its_floor_to_its_cap(others, norms):
         ({"delay": 0.3}, r"lie in \[0, 0.2\] s, 200 control periods, not 0.3 s"),
         ({"delay": -1.0}, r"not -1 s"),
         ({"largest_norm": 0.0}, "largest norm must be positive"),
-        ({"inertia": (0.0, 1.0)}, "inertia must be positive and finite"),
     ],
 )
 def test_what_is_out_of_range_is_refused(others, words):

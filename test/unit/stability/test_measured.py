@@ -1,6 +1,7 @@
 """A measured frequency response is that of the joint, as far as it claims to be."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from harness.loops import loop_settings
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import find_resource
 from hpid_ros.control import Gains, JointLoop
-from hpid_ros.messages.series import JointSeries, SeriesError, complete_run
+from hpid_ros.messages.series import SeriesError, complete_run
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation.engine import record_run
@@ -92,20 +93,12 @@ def test_mujoco_is_the_computed_joint_within_two_percent():
     assert found.inertia == pytest.approx(inertia, rel=5e-3)
 
 
-def cut(series, **changes):
-    values = {
-        name: getattr(series, name)
-        for name in ("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort")
-    }
-    return JointSeries("elbow", **{**values, **changes})
-
-
 def test_what_is_missing_ends_a_stretch_and_the_longest_is_used():
     series = series_of()
     keep = np.ones(SAMPLES, bool)
     keep[4000:4003] = False
-    gap = cut(series, command_stamps_ns=series.command_stamps_ns[keep], effort=series.effort[keep])
-    measured = measured_joint(gap)
+    stamps, efforts = series.command_stamps_ns[keep], series.effort[keep]
+    measured = measured_joint(replace(series, command_stamps_ns=stamps, effort=efforts))
     assert measured.duration == pytest.approx((SAMPLES - 4003) * PERIOD)
     assert distance(FrozenLoop(SETTINGS, JOINT), measured).median < 0.01
 
@@ -117,18 +110,19 @@ def test_what_is_missing_ends_a_stretch_and_the_longest_is_used():
         ({"reference": np.zeros(SAMPLES)}, "does not move"),
         ({"command_stamps_ns": np.zeros(0, np.int64), "effort": np.zeros(0)}, "no effort was"),
         ({"position": np.random.default_rng(3).standard_normal(SAMPLES)}, "no frequency has"),
-        ({"late": 7}, "no command answers"),
-        ({"commands": 200}, "200 samples without a gap are too few"),
+        ({"command_stamps_ns": lambda stamps: stamps + 7}, "no command answers"),
+        (
+            dict.fromkeys(("command_stamps_ns", "effort"), lambda values: values[:200]),
+            "200 samples without a gap are too few",
+        ),
     ],
 )
 def test_a_recording_that_tells_nothing_says_why(change, words):
     series = series_of()
-    stamps = series.command_stamps_ns
-    if "late" in change:
-        change = {"command_stamps_ns": stamps + change["late"]}
-    if "commands" in change:
-        change = {"command_stamps_ns": stamps[:200], "effort": series.effort[:200]}
+    change = {
+        name: of(getattr(series, name)) if callable(of) else of for name, of in change.items()
+    }
     with pytest.raises(SeriesError, match=words):
-        measured_joint(cut(series, **change))
+        measured_joint(replace(series, **change))
     with pytest.raises(SettingError, match="must lie in"):
         measured_joint(series, 1.0)

@@ -56,31 +56,25 @@ def weighted(degree):
 def test_loops_that_nothing_can_certify_are_refused(gains, inertia, words):
     with pytest.raises(GainError, match=words):
         certified_degree_interval(Gains(*gains), weighted, inertia)
-
-
-def test_a_tolerance_of_nothing_is_refused():
     with pytest.raises(SettingError, match="tolerance"):
         certified_degree_interval(Gains(5.0, 1.0, 2.0), weighted, tolerance=0.0)
 
 
-def test_stiff_gains_are_certified_almost_everywhere():
+@pytest.mark.parametrize(
+    ("gains", "rate_weight", "lower", "upper"),
+    [
+        ((100.0, 100.0, 20.0), 0.1, (-0.5, -0.49), (0.49, 0.5)),  # stiff: almost everywhere
+        ((5.0, 9.0, 2.0), 3.0, (-0.187, -0.05), (0.092, 0.5)),  # near Routh's limit
+    ],
+)
+def test_gains_are_certified_as_far_as_known_and_no_further(gains, rate_weight, lower, upper):
     interval = certified_degree_interval(
-        Gains(p=100.0, i=100.0, d=20.0), lambda degree: WeightedNorm(degree, 1.0, 0.1)
+        Gains(*gains), lambda degree: WeightedNorm(degree, 1.0, rate_weight)
     )
-    assert interval.lower <= -0.49
-    assert interval.upper >= 0.49
+    assert lower[0] < interval.lower <= lower[1]
+    assert upper[0] <= interval.upper < upper[1]
+    assert [interval.contains(each) for each in (lower[0], 0.0, upper[1])] == [False, True, False]
     assert min(verify_certificate(interval.certificate)) > 0.0
-
-
-def test_gains_near_the_limit_are_certified_as_far_as_known_and_no_further():
-    interval = certified_degree_interval(
-        Gains(p=5.0, i=9.0, d=2.0), lambda degree: WeightedNorm(degree, 1.0, 3.0)
-    )
-    assert -0.187 < interval.lower <= -0.050
-    assert 0.092 <= interval.upper < 0.5
-    assert interval.contains(0.0)
-    assert not interval.contains(-0.187)
-    verify_certificate(interval.certificate)
 
 
 def test_a_range_of_inertia_is_certified_at_its_ends_and_middle():

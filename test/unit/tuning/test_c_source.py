@@ -33,6 +33,9 @@ def settings(**changes):
     return loop_settings(**{**EVERYTHING, **changes})
 
 
+QUICK = "-O0"  # enough where the last bit is not compared
+
+
 def ended(folder, name, *options):
     program = compile_c(folder, [f"{name}.c", f"{name}_test.c"], *options)
     return subprocess.run([program], capture_output=True, text=True, check=False)
@@ -53,7 +56,11 @@ def test_the_program_replays_what_python_answered_to_the_last_bit(exported):
 def test_the_sanitizers_find_nothing_in_either_precision(exported):
     needs_compiler()
     folder, name = exported
-    sanitized = ("-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover")
+    sanitized = (
+        QUICK,
+        "-fsanitize=address,undefined,float-cast-overflow",
+        "-fno-sanitize-recover",
+    )
     probe = [COMPILER, *sanitized, "-x", "c", "-", "-o", folder / "probe"]
     if subprocess.run(probe, input=b"int main(void) { return 0; }", check=False).returncode:
         pytest.skip("the C compiler has no sanitizers")
@@ -82,7 +89,7 @@ def test_the_program_finds_a_broken_number(exported, tmp_path, line, broken):
     text, count = re.subn(line, broken, source.read_text(), count=1)
     assert count == 1
     source.write_text(text)
-    found = ended(tmp_path, name)
+    found = ended(tmp_path, name, QUICK)
     assert found.returncode == 1
     assert "NOT GOOD" in found.stdout
 
@@ -107,7 +114,7 @@ int main(void)
 }}
 """
     )
-    program = compile_c(tmp_path, ["firmware.c", f"{first}.c", f"{second}.c"])
+    program = compile_c(tmp_path, ["firmware.c", f"{first}.c", f"{second}.c"], QUICK)
     assert subprocess.run([program], check=False).returncode == 0
     assert 'extern "C" {' in (tmp_path / f"{first}.h").read_text()
 
@@ -120,7 +127,7 @@ def test_a_name_that_somebody_else_wrote_stays_in_its_comment(tmp_path):
         assert "*/ int" not in text
         assert "??" not in text
     name = write_c(tmp_path, settings(joint=evil))
-    compile_c(tmp_path, [f"{name}.c", f"{name}_test.c"])
+    compile_c(tmp_path, [f"{name}.c", f"{name}_test.c"], QUICK)
 
 
 @pytest.mark.parametrize(
