@@ -49,9 +49,9 @@ def _saturation(equation: Equation) -> float:
 def _misfit(equation: Equation) -> float:
     """Return the share of the effort's variance that an equation leaves unexplained."""
     model = Model(has_gravity=equation.rigid is None)
-    fit, delay = equation.solve(model, equation.coarse_delay(model))
-    effort = equation.effort(delay)[equation.weight > 0.0]
-    return fit.rms**2 / max(float(np.var(effort)), 1e-300)
+    found = equation.solve(model, equation.coarse_delay(model))
+    effort = equation.effort(found.delay)[equation.weight > 0.0]
+    return found.fit.rms**2 / max(float(np.var(effort)), 1e-300)
 
 
 Spin = Callable[[Numbers, Numbers, Numbers, Numbers], Numbers]

@@ -107,13 +107,6 @@ class Regression(NamedTuple):
         """Standard deviations of the coefficients, (P,)."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
-    def probability_of_none(self, places: list[int]) -> float:
-        """Return the probability that coefficients which are zero would seem this large."""
-        theta, block = self.values[places], self.covariance[np.ix_(places, places)]
-        shrunk = (1.959964 / self.critical) ** 2
-        statistic = float(theta @ np.linalg.pinv(block) @ theta) * shrunk
-        return float(chi2.sf(statistic, len(places)))
-
 
 def regress(
     instruments: Numbers, columns: Numbers, effort: Numbers, weight: Numbers
@@ -202,6 +195,46 @@ class Model(NamedTuple):
     stribeck_speed: float = 0.0  # [rad/s] zero for none
     has_spin: bool = False  # the effort that rotors need besides their inertia has a coefficient
 
+    @property
+    def names(self) -> list[str]:
+        """What the columns stand for."""
+        given = {
+            INERTIA: True,
+            VISCOUS: True,
+            COULOMB: self.has_coulomb,
+            STRIBECK: self.stribeck_speed > 0.0,
+            GRAVITY_SIN: self.has_gravity,
+            GRAVITY_COS: self.has_gravity,
+            OFFSET: True,
+            EFFORT_SCALE: self.has_scale,
+            SPIN: self.has_spin,
+            DELAY: self.has_delay,
+        }
+        return [name for name, is_there in given.items() if is_there]
+
+
+class Solution(NamedTuple):
+    """A model that was fitted."""
+
+    model: Model
+    fit: Regression
+    delay: float  # [s] to which the fit belongs
+
+    def value(self, name: str) -> float:
+        return float(self.fit.values[self.model.names.index(name)])
+
+    def half_width(self, name: str) -> float:
+        """Return half of a coefficient's 95 % interval."""
+        return float(self.fit.critical * self.fit.deviations[self.model.names.index(name)])
+
+    def probability_of_none(self, *names: str) -> float:
+        """Return the probability that coefficients which are zero would seem this large."""
+        fit, places = self.fit, [self.model.names.index(name) for name in names]
+        theta, block = fit.values[places], fit.covariance[np.ix_(places, places)]
+        shrunk = (1.959964 / fit.critical) ** 2
+        statistic = float(theta @ np.linalg.pinv(block) @ theta) * shrunk
+        return float(chi2.sf(statistic, len(places)))
+
 
 class Equation:
     """One joint's equation over all its rows."""
@@ -258,22 +291,6 @@ class Equation:
         """Return the smoothed effort that acts with a delay, (R,), in [N m]."""
         return np.asarray(self.rows.effort(delay, self.limit)[0])
 
-    def names(self, model: Model) -> list[str]:
-        """Return what the columns of a model stand for."""
-        given = {
-            INERTIA: True,
-            VISCOUS: True,
-            COULOMB: model.has_coulomb,
-            STRIBECK: model.stribeck_speed > 0.0,
-            GRAVITY_SIN: model.has_gravity,
-            GRAVITY_COS: model.has_gravity,
-            OFFSET: True,
-            EFFORT_SCALE: model.has_scale,
-            SPIN: model.has_spin,
-            DELAY: model.has_delay,
-        }
-        return [name for name, is_there in given.items() if is_there]
-
     def coarse_delay(self, model: Model) -> float:
         """Return the delay with the least residual among evenly spaced ones, in [s]."""
         basis = model._replace(has_delay=False)
@@ -290,8 +307,8 @@ class Equation:
         grid = np.arange(self._least, self._longest + self._step, self._step)
         return float(grid[int(np.argmin([left(float(each)) for each in grid]))])
 
-    def solve(self, model: Model, delay: float) -> tuple[Regression, float]:
-        """Return the fit of a model and the delay to which it belongs."""
+    def solve(self, model: Model, delay: float) -> Solution:
+        """Fit a model, from a delay on."""
         for _ in range(_NEWTON_STEPS):
             fit = self._fit(model, delay)
             if not model.has_delay:
@@ -300,7 +317,7 @@ class Equation:
             if abs(step) < _SETTLED:
                 break
             delay = float(np.clip(delay + step, self._least - self._step, self._longest))
-        return fit, delay
+        return Solution(model, fit, delay)
 
     def choose_instruments(self, model: Model, delay: float) -> None:
         """Do without the reference if what it finds explains the efforts much worse.
@@ -308,16 +325,17 @@ class Equation:
         Then the instruments have something in common with what the model leaves out.
         """
         if self._may_use_reference:
-            with_reference = self.solve(model, delay)[0].rms
+            with_reference = self.solve(model, delay).fit.rms
             self._may_use_reference = False
-            without = self.solve(model, delay)[0].rms
+            without = self.solve(model, delay).fit.rms
             self._may_use_reference = with_reference <= _MOST_MISFIT * without
 
-    def predicted(self, model: Model, fit: Regression) -> Numbers:
-        """Return the effort that a fit predicts at the rows, (R,), in [N m]."""
+    def predicted(self, found: Solution) -> Numbers:
+        """Return the effort that is predicted at the rows, (R,), in [N m]."""
+        model = found.model
         columns = self._columns(model, np.zeros_like(self.weight)).mean(axis=0)
         known = 0.0 if self.rigid is None or model.has_scale else self.rigid.mean(0)
-        return np.asarray(fit.values @ columns + known)
+        return np.asarray(found.fit.values @ columns + known)
 
     def _fit(self, model: Model, delay: float) -> Regression:
         effort, rate = self.rows.effort(delay, self.limit)
@@ -345,21 +363,17 @@ class Equation:
         if not self._may_use_reference:
             return None
         instruments = columns.copy()
-        noisy = self._noisy(model)
+        # Others are as good as exact.
+        noisy = [k for k, name in enumerate(model.names) if name in (INERTIA, VISCOUS, DELAY)]
         for place in noisy:
             instruments[place] = self._of_reference(columns[place])
         if model.has_scale:
-            place = self.names(model).index(EFFORT_SCALE)
+            place = model.names.index(EFFORT_SCALE)
             moving = columns[place] - self._static
             instruments[place] = self._static + self._of_reference(moving)
             noisy.append(place)
         growth = _variance_growth(instruments * self.weight, columns * self.weight)[noisy]
         return instruments if float(np.max(growth)) < _MOST_GROWTH else None
-
-    def _noisy(self, model: Model) -> list[int]:
-        """Return the places of columns that need an instrument; others are as good as exact."""
-        names = self.names(model)
-        return [names.index(name) for name in (INERTIA, VISCOUS, DELAY) if name in names]
 
     def _of_reference(self, column: Numbers) -> Numbers:
         """Return what a linear answer to the reference explains of a column, (R,)."""

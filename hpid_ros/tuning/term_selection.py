@@ -27,7 +27,7 @@ from hpid_ros.tuning.regression import (
     Equation,
     Estimate,
     Model,
-    Regression,
+    Solution,
 )
 
 
@@ -124,12 +124,6 @@ _HELP = {
 _UNFELT = f"the links are hardly felt: {_HELP[EFFORT_SCALE]}"
 
 
-class _Choice(NamedTuple):
-    model: Model
-    fit: Regression
-    delay: float
-
-
 def nothing(record: JointRecord, reason: str) -> JointIdentification:
     """Return that nothing could be found."""
     travel = float(np.ptp(record.position)) if len(record.position) else 0.0
@@ -149,7 +143,7 @@ def findings(equation: Equation, has_scale: bool) -> JointIdentification:
         joint,
         method="instrumental variables",
         why=_why(equation, choice),
-        remarks=_remarks(equation, choice),
+        remarks=_remarks(choice),
         cutoff=rows.kernel.cutoff,
         rows=equation.used_rows,
         time=equation.used_rows * float(np.median(np.diff(rows.times))),
@@ -187,7 +181,7 @@ def findings(equation: Equation, has_scale: bool) -> JointIdentification:
     return replace(facts, estimates=estimates, unreliable=unreliable)
 
 
-def _why(equation: Equation, choice: _Choice) -> str:
+def _why(equation: Equation, choice: Solution) -> str:
     halves = equation.halves[:, 2]
     noise = float(np.var(halves[0] - halves[1])) / 4.0
     share = noise / max(float(np.var(halves.mean(axis=0))), 1e-300)
@@ -195,7 +189,7 @@ def _why(equation: Equation, choice: _Choice) -> str:
     return f"noise {share:.1g} of the acceleration's variance, instruments: {used}"
 
 
-def _chosen(equation: Equation, has_scale: bool) -> _Choice:
+def _chosen(equation: Equation, has_scale: bool) -> Solution:
     """Choose the terms, one after the other, by whether the data carry them."""
     used = equation.weight > 0.0
     backward = float(np.mean(equation.sign[used] < 0.0))
@@ -207,52 +201,43 @@ def _chosen(equation: Equation, has_scale: bool) -> _Choice:
     )
     delay = equation.coarse_delay(model)
     equation.choose_instruments(model, delay)
-    choice = _Choice(model, *equation.solve(model, delay))
+    choice = equation.solve(model, delay)
     if is_free and not _is_gravity(equation, choice):
         model = model._replace(has_gravity=False)
-        choice = _Choice(model, *equation.solve(model, choice.delay))
+        choice = equation.solve(model, choice.delay)
     if equation.spin is not None:
         choice = _with_spin(equation, choice)
     return _with_stribeck(equation, choice) if model.has_coulomb else choice
 
 
-def _is_gravity(equation: Equation, choice: _Choice) -> bool:
+def _is_gravity(equation: Equation, choice: Solution) -> bool:
     """Return whether a part of the effort changes with the position, and not by chance."""
-    names, used = equation.names(choice.model), equation.weight > 0.0
+    used = equation.weight > 0.0
     position = equation.halves.mean(axis=0)[0][used]
-    a, b = (float(choice.fit.values[names.index(each)]) for each in (GRAVITY_SIN, GRAVITY_COS))
+    a, b = choice.value(GRAVITY_SIN), choice.value(GRAVITY_COS)
     part = np.std(a * np.sin(position) + b * np.cos(position))
     is_felt = bool(part > _FELT * np.std(equation.effort(choice.delay)[used]))
-    return is_felt and _is_carried(equation, choice, [GRAVITY_SIN, GRAVITY_COS])
+    return is_felt and choice.probability_of_none(GRAVITY_SIN, GRAVITY_COS) < _CHANCE
 
 
-def _is_carried(equation: Equation, choice: _Choice, names: list[str]) -> bool:
-    columns = equation.names(choice.model)
-    places = [columns.index(name) for name in names]
-    return choice.fit.probability_of_none(places) < _CHANCE
-
-
-def _with_spin(equation: Equation, plain: _Choice) -> _Choice:
+def _with_spin(equation: Equation, plain: Solution) -> Solution:
     """Add what rotors need beside their inertia if the data carry it, either way they may turn."""
-    model = plain.model._replace(has_spin=True)
-    choice = _Choice(model, *equation.solve(model, plain.delay))
-    share = abs(float(choice.fit.values[equation.names(model).index(SPIN)]))
-    is_there = share < _MOST_SPIN and _is_carried(equation, choice, [SPIN])
-    return choice if is_there else plain
+    choice = equation.solve(plain.model._replace(has_spin=True), plain.delay)
+    is_likely = abs(choice.value(SPIN)) < _MOST_SPIN
+    return choice if is_likely and choice.probability_of_none(SPIN) < _CHANCE else plain
 
 
-def _remarks(equation: Equation, choice: _Choice) -> tuple[str, ...]:
+def _remarks(choice: Solution) -> tuple[str, ...]:
     if not choice.model.has_spin:
         return ()
-    place = equation.names(choice.model).index(SPIN)
-    width = float(choice.fit.critical * choice.fit.deviations[place])
+    share = f"{choice.value(SPIN):.2f} ±{choice.half_width(SPIN):.2f}"
     return (
-        "rotors spin on links that move: what they pull at this joint is "
-        f"{float(choice.fit.values[place]):.2f} ±{width:.2f} of what their gears' ratios say",
+        f"rotors spin on links that move: what they pull at this joint is {share} of what their "
+        "gears' ratios say",
     )
 
 
-def _with_stribeck(equation: Equation, plain: _Choice) -> _Choice:
+def _with_stribeck(equation: Equation, plain: Solution) -> Solution:
     """Add Stribeck friction if the data carry it: less friction at speed than at creep."""
     velocity = equation.halves.mean(axis=0)[1]
     speeds = np.abs(velocity[equation.weight > 0.0])
@@ -261,26 +246,17 @@ def _with_stribeck(equation: Equation, plain: _Choice) -> _Choice:
     for share in _STRIBECK_SPEEDS:
         if share * fastest < slowest:  # nobody has seen it
             continue
-        model = plain.model._replace(stribeck_speed=share * fastest)
-        choice = _Choice(model, *equation.solve(model, plain.delay))
-        place = equation.names(model).index(STRIBECK)
-        is_more = choice.fit.values[place] > 0.0
-        if is_more and choice.fit.rms < best.fit.rms and _is_carried(equation, choice, [STRIBECK]):
+        choice = equation.solve(plain.model._replace(stribeck_speed=share * fastest), plain.delay)
+        is_better = choice.value(STRIBECK) > 0.0 and choice.fit.rms < best.fit.rms
+        if is_better and choice.probability_of_none(STRIBECK) < _CHANCE:
             best = choice
     return best
 
 
-def _estimates(equation: Equation, choice: _Choice) -> dict[str, Estimate]:
-    names, fit = equation.names(choice.model), choice.fit
-    widths = fit.critical * fit.deviations
-    found = {}
-    for place, name in enumerate(names):
-        value, width = float(fit.values[place]), float(widths[place])
-        if name == SPIN:
-            continue
-        if name == DELAY:
-            value = choice.delay
-        found[name] = Estimate(value, width, _doubt(equation, choice, place, value, width))
+def _estimates(equation: Equation, choice: Solution) -> dict[str, Estimate]:
+    found = {
+        name: _estimate(equation, choice, name) for name in choice.model.names if name != SPIN
+    }
     if choice.model.has_scale:
         found = _scaled(found)
     elif equation.rigid is not None:
@@ -294,14 +270,16 @@ def _estimates(equation: Equation, choice: _Choice) -> dict[str, Estimate]:
     return {name: found[name] for name in PARAMETERS if name in found}
 
 
-def _scale_beside(equation: Equation, choice: _Choice) -> Estimate:
+def _estimate(equation: Equation, choice: Solution, name: str) -> Estimate:
+    value = choice.delay if name == DELAY else choice.value(name)
+    width = choice.half_width(name)
+    return Estimate(value, width, _doubt(equation, choice, name, value, width))
+
+
+def _scale_beside(equation: Equation, choice: Solution) -> Estimate:
     """Return the effort's scale, which a fit finds that leaves it free."""
-    model = choice.model._replace(has_scale=True)
-    free = _Choice(model, *equation.solve(model, choice.delay))
-    place = equation.names(model).index(EFFORT_SCALE)
-    width = float(free.fit.critical * free.fit.deviations[place])
-    value = float(free.fit.values[place])
-    inverse = Estimate(value, width, _doubt(equation, free, place, value, width))
+    free = equation.solve(choice.model._replace(has_scale=True), choice.delay)
+    inverse = _estimate(equation, free, EFFORT_SCALE)
     scale = _scaled({EFFORT_SCALE: inverse})[EFFORT_SCALE]
     if scale.is_reliable and (scale.low > 1.0 + _OTHER_UNIT or scale.high < 1.0 - _OTHER_UNIT):
         level = float(np.std(equation.effort(choice.delay)[equation.weight > 0.0]))
@@ -327,9 +305,8 @@ def _scaled(found: Mapping[str, Estimate]) -> dict[str, Estimate]:
     return result
 
 
-def _doubt(equation: Equation, choice: _Choice, place: int, value: float, width: float) -> str:
+def _doubt(equation: Equation, choice: Solution, name: str, value: float, width: float) -> str:
     """Return why a number should not be relied on; empty if it may."""
-    name = equation.names(choice.model)[place]
     if not np.isfinite(width):
         return f"nothing can be said of its interval: {_HELP[name]}"
     if name == DELAY:
@@ -337,7 +314,7 @@ def _doubt(equation: Equation, choice: _Choice, place: int, value: float, width:
             return f"the best is at the end of what was looked through, {value * 1e3:.3g} ms"
         if width < equation.resolution:
             return ""
-        return f"known to {width * 1e3:.2g} ms only{_like(equation, choice, place)}: {_HELP[name]}"
+        return f"known to {width * 1e3:.2g} ms only{_like(choice, name)}: {_HELP[name]}"
     if name in (OFFSET, GRAVITY_SIN, GRAVITY_COS):
         return ""
     if name == EFFORT_SCALE:
@@ -346,28 +323,28 @@ def _doubt(equation: Equation, choice: _Choice, place: int, value: float, width:
     if value - width > 0.0:
         return ""
     about = "its interval is below zero" if value + width < 0.0 else "its interval contains zero"
-    return f"{about}{_like(equation, choice, place)}: {_HELP[name]}"
+    return f"{about}{_like(choice, name)}: {_HELP[name]}"
 
 
-def _like(equation: Equation, choice: _Choice, place: int) -> str:
+def _like(choice: Solution, name: str) -> str:
     """Name the column that is most like another one, where that is what widens its interval."""
+    names, covariance = choice.model.names, choice.fit.covariance
+    place = names.index(name)
     if choice.fit.sharing[place] < _SHARED:
         return ""
-    names = equation.names(choice.model)
-    covariance = choice.fit.covariance
     deviation = np.maximum(choice.fit.deviations, 1e-300)
     likeness = np.abs(covariance[place]) / (deviation * deviation[place])
     likeness[place] = 0.0
     return f", as its motion does not tell it from {_ALIKE[names[int(np.argmax(likeness))]]}"
 
 
-def _drawn(equation: Equation, choice: _Choice, effort: Numbers) -> Fit:
+def _drawn(equation: Equation, choice: Solution, effort: Numbers) -> Fit:
     times = equation.rows.times
     is_between = times == 0.0  # no row is at the first sample
     hole = np.where(is_between, np.nan, 1.0)
     return Fit(
         np.where(is_between, np.nan, times),
         effort * hole,
-        equation.predicted(choice.model, choice.fit) * hole,
+        equation.predicted(choice) * hole,
         equation.weight > 0.0,
     )
