@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -313,13 +314,10 @@ class _Collector:
                     self._notes[f"a state was left out, as the controller does: {error}"] = None
                     continue
                 if sample is not None:
-                    answer = self._answer(name, joint, sample, raw)
+                    answer: Answer = partial(_step, sample)
+                    if joint.model is not None:
+                        answer = _ModelAnswer(joint.model, self._robots[name], sample, raw)
                     joint.states.append(RecordedState(log_time_ns, place, sample.stamp_ns, answer))
-
-    def _answer(self, name: str, joint: _Joint, sample: JointSample, raw: bytes) -> Answer:
-        if joint.model is None:
-            return partial(_step, sample)
-        return _ModelAnswer(joint.model, self._robots[name], sample, raw)
 
     def _take_commands(self, batch: TopicBatch) -> None:
         for _, place, raw in _messages(batch):
@@ -343,31 +341,29 @@ class _Collector:
                 continue
             for name, joint in self._joints.items():
                 if name in places:
-                    try:
-                        motion = column(name, places[name])
-                    except HpidError as error:
-                        self._notes[f"a trajectory was left out: {error}"] = None
-                    else:
-                        joint.instruct(log_time_ns, place, following(motion), "a trajectory")
+                    with self._leaving_out("a trajectory was left out"):
+                        motion = following(column(name, places[name]))
+                        joint.instruct(log_time_ns, place, motion, "a trajectory")
 
     def _take_setpoints(self, joint: _Joint, batch: TopicBatch) -> None:
         for log_time_ns, place, raw in _messages(batch):
-            try:
-                motion = Setpoint(decode_float64(raw))
-            except HpidError as error:
-                self._notes[f"a setpoint was left out, as controllers refuse it: {error}"] = None
-            else:
-                joint.instruct(log_time_ns, place, following(motion), "a setpoint")
+            with self._leaving_out("a setpoint was left out, as controllers refuse it"):
+                motion = following(Setpoint(decode_float64(raw)))
+                joint.instruct(log_time_ns, place, motion, "a setpoint")
 
     def _take_relays(self, joint: _Joint, batch: TopicBatch) -> None:
         for log_time_ns, place, raw in _messages(batch):
-            try:
+            with self._leaving_out("a relay was left out, as controllers refuse it"):
                 request = RelayRequest.asked(decode_numbers(raw))
-            except HpidError as error:
-                self._notes[f"a relay was left out, as controllers refuse it: {error}"] = None
-            else:
                 text = "the end of a relay" if request is None else "a relay"
                 joint.instruct(log_time_ns, place, partial(joint.relay, place, request), text)
+
+    @contextmanager
+    def _leaving_out(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except HpidError as error:
+            self._notes[f"{what}: {error}"] = None
 
     def _take_events(self, batch: TopicBatch) -> None:
         for log_time_ns, place, raw in _messages(batch):

@@ -134,6 +134,13 @@ class Upgrade:
     remarks: tuple[str, ...] = ()  # what to know of the loop as it is
 
 
+class Proposals(NamedTuple):
+    """What came of controllers."""
+
+    found: dict[str, Upgrade]  # what is proposed, by joint
+    failures: dict[str, HpidError]  # why there is nothing for the other joints
+
+
 def effort_scale(candidates: Sequence[Candidate]) -> float:
     """Return one scale of the norm for all joints of a robot, in [N m].
 
@@ -156,7 +163,7 @@ def upgrades(
     candidates: Sequence[Candidate],
     goal: str,
     progress: Callable[[Sequence[str]], None] = lambda joints: None,
-) -> list[Upgrade | HpidError]:
+) -> Proposals:
     """Propose a degree and a norm for the gains of several PIDs.
 
     The largest degree of the goal's sign is taken that lies in the inner four fifths of the
@@ -164,23 +171,20 @@ def upgrades(
     PID's, and keeps T kd lam / m within what sampling bears.
     """
     scale = effort_scale(candidates) if goal == "balanced" else 0.0
-    found: dict[int, Upgrade | HpidError] = {}
-    bases: dict[int, Upgrade] = {}
-    for place, each in enumerate(candidates):
+    proposals, bases = Proposals({}, {}), list[tuple[Candidate, Upgrade]]()
+    for each in candidates:
         try:
-            bases[place] = _base(each, scale)
+            bases.append((each, _base(each, scale)))
         except HpidError as error:
-            found[place] = error
+            proposals.failures[each.pid.joint] = error
             progress([each.pid.joint])
-    loops = [(base.settings, base.inertia) for base in bases.values()]
-    for (place, base), interval in zip(
-        bases.items(), certified_degrees(loops, progress), strict=True
-    ):
+    found = certified_degrees([(base.settings, base.inertia) for _, base in bases], progress)
+    for (each, base), interval in zip(bases, found, strict=True):
         if isinstance(interval, GainError):
-            found[place] = interval
+            proposals.failures[each.pid.joint] = interval
         else:
-            found[place] = _proposal(base, candidates[place].pid.inertia, goal, interval)
-    return [found[place] for place in range(len(candidates))]
+            proposals.found[each.pid.joint] = _proposal(base, each.pid.inertia, goal, interval)
+    return proposals
 
 
 def upgrade(
@@ -190,10 +194,10 @@ def upgrade(
     statistics: LoopStatistics | None = None,
 ) -> Upgrade:
     """Propose a degree and a norm for the gains of one PID; see :func:`upgrades`."""
-    (found,) = upgrades([Candidate(pid, inertia, statistics)], goal)
-    if isinstance(found, HpidError):
-        raise found
-    return found
+    found, failures = upgrades([Candidate(pid, inertia, statistics)], goal)
+    for error in failures.values():
+        raise error
+    return found[pid.joint]
 
 
 def worthwhile(
@@ -374,13 +378,6 @@ Certifying = Callable[[int], AbstractContextManager[Callable[[Sequence[str]], No
 """Shows how many of a number of joints are certified."""
 
 
-class Proposals(NamedTuple):
-    """What came of controllers."""
-
-    found: dict[str, Upgrade]  # what is proposed, by joint
-    failures: dict[str, HpidError]  # why there is nothing for the other joints
-
-
 def propose(
     loops: Sequence[LoopSettings],
     inertias: Mapping[str, tuple[float, float]],
@@ -392,7 +389,7 @@ def propose(
     """Propose a homogeneous PID for each controller."""
     series = {each.joint: each for each in recorded}
     candidates: list[Candidate] = []
-    proposals = Proposals({}, {})
+    refused: dict[str, HpidError] = {}
     for loop in loops:
         own, statistics = series.get(loop.joint), None
         try:
@@ -400,21 +397,17 @@ def propose(
             if own is not None:
                 statistics = loop_statistics(own, loop.velocity.filter_time_constant)
         except HpidError as error:
-            proposals.failures[loop.joint] = error
+            refused[loop.joint] = error
         else:
             limit = limits.get(loop.joint, math.inf)
             candidates.append(Candidate(loop, inertia, statistics, limit))
     with certifying(len(candidates)) as progress:
-        found = upgrades(candidates, goal, progress)
-    for candidate, each in zip(candidates, found, strict=True):
-        if isinstance(each, HpidError):
-            proposals.failures[candidate.pid.joint] = each
-        else:
-            proposals.found[candidate.pid.joint] = each
-    if not proposals.found:
-        reasons = dict.fromkeys(str(each) for each in proposals.failures.values())
+        found, failures = upgrades(candidates, goal, progress)
+    failures = refused | failures
+    if not found:
+        reasons = dict.fromkeys(map(str, failures.values()))
         raise SettingError(f"no joint can be upgraded: {'; '.join(reasons)}")
-    return proposals
+    return Proposals(found, failures)
 
 
 def effort_limits(description: RobotDescription) -> dict[str, float]:

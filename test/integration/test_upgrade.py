@@ -93,7 +93,7 @@ def elbow_and_wrist():
 
 def test_balanced_gives_all_joints_one_scale_in_units_of_effort():
     both = elbow_and_wrist()
-    proposals = upgrades(both, "balanced")
+    proposals = list(upgrades(both, "balanced").found.values())
     mean_square = np.mean(np.square(recording().error))
     expected = math.sqrt(0.5 * (39.6**2 + 3.96**2) * mean_square)
     for proposal, candidate in zip(proposals, both, strict=True):
@@ -198,7 +198,7 @@ def test_where_the_goals_index_does_not_fall_for_certain_the_pid_is_kept(ratio, 
 )
 def test_effort_limits_are_the_narrower_of_the_urdfs_and_the_pids(own, limit, clamps):
     loop = pid(u_clamp_min=own[0], u_clamp_max=own[1])
-    (found,) = upgrades([Candidate(loop, (0.132, 0.132), effort=limit)], "smooth")
+    (found,) = upgrades([Candidate(loop, (0.132, 0.132), effort=limit)], "smooth").found.values()
     assert (found.settings.effort.u_clamp_min, found.settings.effort.u_clamp_max) == clamps
     for name, was, now in zip(("u_clamp_min", "u_clamp_max"), own, clamps, strict=True):
         assert ("effort limit of the URDF" in found.reasons.get(name, "")) == (was != now)
