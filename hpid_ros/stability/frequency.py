@@ -40,11 +40,14 @@ Complexes = NDArray[np.complex128]
 _SERIES_BELOW = 0.05
 
 
-class PlantResponse(NamedTuple):
-    """Frequency response from the effort that a sample gives."""
+class Response(NamedTuple):
+    """Of a joint: from the effort of a sample to position and velocity, in [rad/(N m)], [.. / s].
 
-    position: Complexes  # [rad/(N m)] to the measured position
-    velocity: Complexes  # [rad/(N m s)] to the joint's velocity at the samples
+    Of a controller: its effort is minus this times position and velocity, [N m/rad], [N m s/rad].
+    """
+
+    position: Complexes
+    velocity: Complexes
 
 
 class HeldEffort(NamedTuple):
@@ -105,7 +108,7 @@ class SampledJoint:
         decay = self.friction / self.inertia * time
         return time * time * _phi_2(decay) / self.inertia, time * _phi_1(decay) / self.inertia
 
-    def response(self, frequency: Numbers) -> PlantResponse:
+    def response(self, frequency: Numbers) -> Response:
         """Return the frequency response of the held joint at z = exp(j w T)."""
         held = self.held
         ahead = np.expm1(1j * self.period * frequency)  # z - 1, with all its digits
@@ -117,7 +120,7 @@ class SampledJoint:
         ]
         lost = self.friction / self.inertia * held.reach  # 1 - keep, likewise
         velocity = forced[1] / (ahead + lost)
-        return PlantResponse((forced[0] + held.reach * velocity) / ahead, velocity)
+        return Response((forced[0] + held.reach * velocity) / ahead, velocity)
 
 
 def _phi_1(x: float) -> float:
@@ -140,23 +143,8 @@ class Seen(NamedTuple):
 
     position: Numbers  # the position that the error is taken of, (N,)
     velocity: Numbers  # the velocity, (N,)
-    disturbance: Numbers  # the effort that is estimated to disturb the joint, (N,)
+    disturbance: Numbers  # the effort that is fed forward against a disturbance, (N,)
     states: Numbers  # the source's own states after the sample, (K, N)
-
-
-class LawResponse(NamedTuple):
-    """A law on what it sees: its effort is minus this times position and velocity."""
-
-    position: Complexes  # of the position seen
-    velocity: Complexes  # of the velocity seen
-    disturbance: float  # which part of the estimated disturbance is fed forward: 0 or 1
-
-
-class ControllerResponse(NamedTuple):
-    """A controller on what is measured: its effort is minus this times position and velocity."""
-
-    position: Complexes  # [N m/rad] of the measured position
-    velocity: Complexes  # [N m s/rad] of the measured velocity
 
 
 class MeasuredSource:
@@ -167,8 +155,8 @@ class MeasuredSource:
     def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
         return Seen(position, velocity, np.zeros_like(position), states)
 
-    def controller(self, law: LawResponse, ahead: Complexes) -> ControllerResponse:
-        return ControllerResponse(law.position, law.velocity)
+    def controller(self, law: Response, ahead: Complexes) -> Response:
+        return Response(law.position, law.velocity)
 
 
 @dataclass(frozen=True)
@@ -188,10 +176,10 @@ class FilteredSource:
         rate = rate + (position - before - self.period * rate) / whole
         return Seen(position, rate, np.zeros_like(position), np.stack([position, rate]))
 
-    def controller(self, law: LawResponse, ahead: Complexes) -> ControllerResponse:
+    def controller(self, law: Response, ahead: Complexes) -> Response:
         tau, period = self.time_constant, self.period
         rate = ahead / ((tau + period) * ahead + period)
-        return ControllerResponse(law.position + law.velocity * rate, np.zeros_like(ahead))
+        return Response(law.position + law.velocity * rate, np.zeros_like(ahead))
 
 
 class ObserverSource:
@@ -207,8 +195,8 @@ class ObserverSource:
 
     size = 3
 
-    def __init__(self, design: ObserverDesign) -> None:
-        t = design.period
+    def __init__(self, design: ObserverDesign, feeds: bool) -> None:
+        self._feed, t = float(feeds), design.period
         theta = max(math.exp(-design.bandwidth * t), _LEAST_MEMORY)
         rest = 1.0 - theta
         self._inertia = design.inertia
@@ -221,9 +209,9 @@ class ObserverSource:
     def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
         ahead = self._follow @ states + np.outer(self._push, sent)
         ahead = ahead + np.outer(self._correct, position - ahead[0])
-        return Seen(ahead[0], ahead[1], self._inertia * ahead[2], ahead)
+        return Seen(ahead[0], ahead[1], self._feed * self._inertia * ahead[2], ahead)
 
-    def controller(self, law: LawResponse, ahead: Complexes) -> ControllerResponse:
+    def controller(self, law: Response, ahead: Complexes) -> Response:
         # The observer knows the efforts that the law sends: they are in a loop of their own.
         back = 1.0 / (1.0 + ahead)
         kept = np.eye(3) - np.outer(self._correct, (1.0, 0.0, 0.0))
@@ -231,9 +219,9 @@ class ObserverSource:
         of_effort = back[:, None] * (kept @ self._push)
         inputs = np.stack([np.broadcast_to(self._correct, of_effort.shape), of_effort], axis=-1)
         states = np.linalg.solve(system, inputs)
-        own = law.disturbance * self._inertia * states[:, 2]
+        own = self._feed * self._inertia * states[:, 2]
         answer = law.position[:, None] * states[:, 0] + law.velocity[:, None] * states[:, 1] + own
-        return ControllerResponse(answer[:, 0] / (1.0 + answer[:, 1]), np.zeros_like(ahead))
+        return Response(answer[:, 0] / (1.0 + answer[:, 1]), np.zeros_like(ahead))
 
 
 LinearSource = MeasuredSource | FilteredSource | ObserverSource
@@ -249,7 +237,7 @@ def linear_source(settings: LoopSettings) -> LinearSource:
     period = settings.timing.control_period
     design = observer_design(settings)
     if design is not None:
-        return ObserverSource(design)
+        return ObserverSource(design, settings.observer.feed_disturbance)
     if settings.velocity.source == "homogeneous_differentiator":
         return FilteredSource(0.0, period)
     if settings.velocity.is_measured:
@@ -294,10 +282,9 @@ class FrozenLoop:
         ahead = np.expm1(1j * self.joint.period * frequency)
         law, summed = self._law, self.joint.period / ahead
         controller = self._source.controller(
-            LawResponse(
+            Response(
                 law.position + law.integral_position * summed,
                 law.velocity + law.integral_velocity * summed,
-                float(self.settings.observer.feed_disturbance),
             ),
             ahead,
         )
@@ -344,7 +331,7 @@ class FrozenLoop:
             state[2 + under_way : 2 + under_way + source.size], position, velocity, sent[0]
         )
         effort = integral - law.position * seen.position - law.velocity * seen.velocity
-        effort = effort - float(self.settings.observer.feed_disturbance) * seen.disturbance
+        effort = effort - seen.disturbance
         efforts = np.vstack([effort, sent])
         newer, older = efforts[held.whole_periods], efforts[held.whole_periods + 1]
         after = [
