@@ -31,7 +31,7 @@ from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
 from hpid_ros.control.norms import NormType
 from hpid_ros.control.settings import NormSettings
-from hpid_ros.stability.certification import certified_degree_interval, margins_at
+from hpid_ros.stability.certification import best_spans, certified_degree_interval
 from hpid_ros.stability.closed_loop import Norm
 from hpid_ros.stability.gain_check import integral_ratio
 
@@ -159,7 +159,7 @@ def try_loop(seed: int, *, is_in_effort: bool = False) -> dict[str, Any]:
         is_certified = interval.contains(degree)
         if is_certified:
             try:
-                margins_at(interval.certificate, norm)
+                best_spans(interval.certificate, norm)
             except GainError:
                 disputed += 1
         is_stable = SimulatedLoop(gains, norm).is_stable(random)

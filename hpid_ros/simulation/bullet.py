@@ -313,8 +313,7 @@ def settle(client: Client, body: int, joints: Collection[int], physics_period: f
     brake_joints(client, body, list(joints), [LOCK_FORCE] * len(joints))
     for _ in range(max(1, round(SETTLING_TIME / physics_period))):
         client.stepSimulation()
-    rest = (0.0, 0.0, 0.0)
-    client.resetBaseVelocity(body, rest, rest)
+    client.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def settle_bricks(client: Client, bricks: tuple[int, ...], workplace: Workplace) -> None:

@@ -11,7 +11,7 @@ their product counts. Nothing of the robot touches itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -223,7 +223,7 @@ class _Contacts:
 
     def __init__(self, spec: Any, settings: WorldSettings) -> None:
         self._spec, self._settings = spec, settings
-        self._touches: list[tuple[str, float, float]] = []
+        self.touches: list[tuple[str, float, float]] = []
 
     def build(self, robot: _Robot) -> None:
         settings, workplace = self._settings, self._settings.workplace
@@ -259,13 +259,6 @@ class _Contacts:
                 solimp=_FRICTION_SOLIMP,
             )
 
-    def of(self, model: Any) -> Iterator[Touch]:
-        """Yield the contacts that have a stiffness of their own."""
-        for name, stiffness, damping in self._touches:
-            if stiffness:
-                index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PAIR, name)
-                yield Touch(index, stiffness, damping)
-
     def _add_box(self, box: Support) -> str:
         x, y, z, w = box.orientation
         body = self._spec.worldbody.add_body(name=_body(box), pos=box.position, quat=(w, x, y, z))
@@ -296,7 +289,7 @@ class _Contacts:
             solimp=(_IMPEDANCE, _IMPEDANCE, 1e-3, 0.5, 2.0) if is_soft else _HARD_SOLIMP,
         )
         if shape is not None:
-            self._touches.append((name, shape.stiffness, shape.damping))
+            self.touches.append((name, shape.stiffness, shape.damping))
 
 
 def soften(model: Any, touches: tuple[Touch, ...]) -> None:
@@ -314,26 +307,21 @@ def soften(model: Any, touches: tuple[Touch, ...]) -> None:
 
 
 def _indexed(model: Any, robot: _Robot, contacts: _Contacts) -> MujocoModel:
-    def index(kind: Any, name: str) -> int:
-        return int(mujoco.mj_name2id(model, kind, name))
-
     description, settings = robot.description, robot.settings
-    kinds = mujoco.mjtObj
-    joints = {name: index(kinds.mjOBJ_JOINT, name) for name in description.joints}
-    bricks = settings.workplace.bricks
+    joints, bricks = description.joints, settings.workplace.bricks
     found = MujocoModel(
         model,
-        {name: int(model.jnt_qposadr[each]) for name, each in joints.items()},
-        {name: int(model.jnt_dofadr[each]) for name, each in joints.items()},
-        {name: index(kinds.mjOBJ_BODY, _link(name)) for name in description.links},
-        tuple(index(kinds.mjOBJ_BODY, _body(brick)) for brick in bricks),
-        tuple(index(kinds.mjOBJ_EQUALITY, _weld(brick)) for brick in bricks),
-        tuple(contacts.of(model)),
-        tuple(index(kinds.mjOBJ_GEOM, shape.name) for shape in robot.shapes),
+        {name: int(model.joint(name).qposadr[0]) for name in joints},
+        {name: int(model.joint(name).dofadr[0]) for name in joints},
+        {name: model.body(_link(name)).id for name in description.links},
+        tuple(model.body(_body(brick)).id for brick in bricks),
+        tuple(model.equality(_weld(brick)).id for brick in bricks),
+        tuple(Touch(model.pair(name).id, k, b) for name, k, b in contacts.touches if k),
+        tuple(model.geom(shape.name).id for shape in robot.shapes),
     )
     soften(model, found.touches)
     if not settings.fixed_base:
-        _lower_ground(model, index(kinds.mjOBJ_GEOM, GROUND), found, settings)
+        _lower_ground(model, model.geom(GROUND).id, found, settings)
     return found
 
 
@@ -433,7 +421,6 @@ class MujocoPhysics:
         self._root = self._built.links[description.root]
         self._held: int | None = None
         self._is_pushed = False
-        self._is_current = True
         self._viewer: Any = None
         self._place()
         if settings.gui:
@@ -442,8 +429,7 @@ class MujocoPhysics:
             self._viewer = viewer.launch_passive(self.model, self.data)
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
-        data = self.data
-        positions, velocities = data.qpos[self._positions], data.qvel[self._velocities]
+        positions, velocities = self.data.qpos[self._positions], self.data.qvel[self._velocities]
         return list(zip(positions.tolist(), velocities.tolist(), strict=True))
 
     def advance(self, torques: Sequence[float], steps: int = 1) -> None:
@@ -476,8 +462,7 @@ class MujocoPhysics:
         self._is_pushed = True
 
     def load(self, mass: float) -> None:
-        body = self._payload
-        own_mass, own_moments = self._bare
+        body, (own_mass, own_moments) = self._payload, self._bare
         self.model.body_mass[body] = own_mass + mass
         self.model.body_inertia[body] = own_moments + mass * PAYLOAD_EDGE**2 / 6.0
         self._renew()
@@ -589,7 +574,7 @@ class MujocoPhysics:
     def _put_on_ground(self) -> None:
         """Set the robot down so that its lowest point touches the ground."""
         mujoco.mj_kinematics(self.model, self.data)
-        ground = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, "__ground")
+        ground = self.model.geom(GROUND).id
         gaps = [
             mujoco.mj_geomDistance(self.model, self.data, shape, ground, _FAR, None)
             for shape in self._built.shapes

@@ -69,12 +69,6 @@ def check_certificate(certificate: Certificate) -> Margins:
     return Margins(*(min(column) for column in zip(*margins, strict=True)))
 
 
-def margins_at(certificate: Certificate, norm: Norm) -> Margins:
-    """Return by how much a certificate holds at one degree inside it, whatever the inertia."""
-    found = [margins for _, margins in best_spans(certificate, norm)]
-    return Margins(*(min(column) for column in zip(*found, strict=True)))
-
-
 def best_spans(certificate: Certificate, norm: Norm) -> list[tuple[CertifiedSpan, Margins]]:
     """Return for each inertia the span that proves the fastest decay at one degree."""
     degree = norm.degree

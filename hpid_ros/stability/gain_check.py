@@ -323,11 +323,6 @@ def check_gains(
     return [verdicts[place] for place in range(len(tasks))]
 
 
-def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
-    """Judge one loop."""
-    return check_gains([(settings, inertia)])[0]
-
-
 def _verdict(
     task: tuple[LoopSettings, tuple[float, float], DegreeInterval | GainError],
 ) -> GainVerdict:

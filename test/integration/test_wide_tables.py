@@ -135,7 +135,7 @@ def test_a_pipe_does_not_limit_the_width():
 
 def test_a_gain_table_names_a_sampling_rate_that_breaks_the_loop():
     loop = LoopSettings("elbow", Gains(100.0, 100.0, 20.0), timing=Timing(control_period=0.06))
-    from hpid_ros.stability.gain_check import judge
+    from hpid_ros.stability.gain_check import check_gains
 
-    text = printed(GainTable({"elbow": judge(loop, (1.0, 1.0))}), 80)
+    text = printed(GainTable({"elbow": check_gains([(loop, (1.0, 1.0))])[0]}), 80)
     assert "T kd lam / m = 1.20: the sampled loop breaks at 0.85" in " ".join(text.split())

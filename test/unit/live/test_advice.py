@@ -10,7 +10,7 @@ import pytest
 from harness.simulated_graph import loop_settings
 
 from hpid_ros.live.advice import UNKNOWN_INERTIA, Advice, AdviceClient, Adviser, response_to
-from hpid_ros.stability.gain_check import judge
+from hpid_ros.stability.gain_check import check_gains
 
 PATIENCE = 60.0  # [s]
 
@@ -26,7 +26,7 @@ def test_the_interval_is_that_of_check_gains(adviser):
     assert 20.0 < advice.phase < 90.0
     assert 0.0 < advice.delay < 1.0
     assert advice.sensitivity >= 1.0
-    assert advice.interval == judge(settings, (0.5, 0.5)).interval
+    assert advice.interval == check_gains([(settings, (0.5, 0.5))])[0].interval
     assert 0.0 < advice.interval[1] < 0.49  # so that a page has something to shade
 
 

@@ -21,7 +21,7 @@ from hpid_ros.experiment.batch import TOTAL, RunTask, WorldKeeper, simulated
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import controllers_document
 from hpid_ros.motion import Column, Knot
-from hpid_ros.stability.gain_check import inertia_of, judge
+from hpid_ros.stability.gain_check import check_gains, inertia_of
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -185,7 +185,7 @@ def test_decoupled_gains_are_judged_on_inertia_one_whatever_the_joints_is():
     parameters |= {"compensation": "decoupling", "norm.error_scale": 0.3, "norm.rate_weight": 0.2}
     settings = LoopSettings.from_parameters(parameters)
     assert inertia_of(settings) == inertia_of(settings, (0.01, 0.5)) == (1.0, 1.0)
-    verdict = judge(settings, inertia_of(settings))
+    (verdict,) = check_gains([(settings, inertia_of(settings))])
     assert verdict.is_certified
     assert verdict.integral_ratio == pytest.approx(1000.0 / (300.0 * 30.0))
     with pytest.raises(GainError, match="unstable"):  # stable on 0.02 kg m^2, not on 1
