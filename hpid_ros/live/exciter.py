@@ -31,7 +31,13 @@ from hpid_ros.messages.joint_state import EffortReader, decode_joint_state
 from hpid_ros.motion.excitation import ExcitationPlan, PlannedJoint
 from hpid_ros.motion.joint_trajectory import PointArrays
 from hpid_ros.nodes.core import executor
-from hpid_ros.nodes.core.middleware import ALL_COMMANDS, NEWEST_STATES, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.middleware import (
+    ALL_COMMANDS,
+    NEWEST_REFERENCE,
+    NEWEST_STATES,
+    steady_timer,
+    subscribe_raw,
+)
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusPipe
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
@@ -246,7 +252,7 @@ class Exciter(MovingNode):
         self._measured: dict[str, float] = {}
         for topic in references.values():
             self.create_subscription(
-                JointState, topic, self._on_reference, NEWEST_STATES, raw=True
+                JointState, topic, self._on_reference, NEWEST_REFERENCE, raw=True
             )
         self._efforts = EffortReader()
         subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)

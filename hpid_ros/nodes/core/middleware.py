@@ -73,6 +73,9 @@ reliable and volatile).
 NEWEST_STATES = _profile(ReliabilityPolicy.BEST_EFFORT, _STATES_AT_ONCE)
 """States, as a controller takes them: a hiccup is caught up, anything older is the past."""
 
+NEWEST_REFERENCE = _profile(ReliabilityPolicy.BEST_EFFORT, 1)
+"""References of controllers: who has fallen behind looks at none that is old."""
+
 ALL_COMMANDS = _profile(ReliabilityPolicy.BEST_EFFORT, _COMMANDS_AT_ONCE)
 """Commands, as the bridge takes them."""
 

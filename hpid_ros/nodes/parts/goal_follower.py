@@ -61,6 +61,14 @@ class Feedback(NamedTuple):
     error: tuple[Error, ...]  # their differences, reference minus measured
 
 
+class _Overdue(NamedTuple):
+    """Whose state or reference is missed; nothing if none is."""
+
+    joint: str = ""
+    newest_ns: int | None = None  # stamp of the newest one
+    reason: str = ""
+
+
 class _Joint:
     """One joint of the group: its newest state, and its reference."""
 
@@ -187,6 +195,7 @@ class GoalFollower:
         self._late_by = 0.0  # [s]; 0 while nothing is to be excused
         self._has_published = self._is_hold_due = False
         self._late_until_ns = 0
+        self._was_overdue = _Overdue()
 
     @property
     def is_active(self) -> bool:
@@ -196,7 +205,7 @@ class GoalFollower:
         """Return why no goal can be followed now; empty if one can be."""
         if self._silence:
             return f"there has been no new state for {self._silence:.3g} s"
-        return self._lacking_state() or self._lost_controller()
+        return self._overdue().reason
 
     def begin(self, request: GoalRequest) -> Outcome:
         """Begin with a goal, in place of the one that is followed."""
@@ -337,27 +346,32 @@ class GoalFollower:
             self.now_ns = stamp_ns
         return taken
 
-    def _lacking_state(self) -> str:
-        """Return which joint has no state, or an old one; empty if all are there."""
+    def _lacking_state(self) -> _Overdue:
+        """Return which joint has no state, or an old one."""
         for joint in self._joints:
             if joint.stamp_ns is None or self.now_ns is None:
-                return f"there is no state of {joint.name} yet"
+                return _Overdue(joint.name, None, f"there is no state of {joint.name} yet")
             age = (self.now_ns - joint.stamp_ns) / NANOSECONDS
             if age > self.settings.fixed.state_timeout:
-                return f"{joint.name} has had no state for {age:.3g} s"
-        return ""
+                line = f"{joint.name} has had no state for {age:.3g} s"
+                return _Overdue(joint.name, joint.stamp_ns, line)
+        return _Overdue()
 
-    def _lost_controller(self) -> str:
-        """Return whose controller publishes its reference no more; empty if all do."""
+    def _overdue(self) -> _Overdue:
+        """Return which joint lacks a state, or whose controller is silent."""
+        lacking = self._lacking_state()
+        if lacking.reason:
+            return lacking
         timeout_ns = round(self.settings.fixed.reference_timeout * NANOSECONDS)
-        for joint in self._joints:
-            if not timeout_ns or self.now_ns is None or joint.reference_ns is None:
+        for joint in self._joints if timeout_ns else ():
+            if joint.reference_ns is None:
                 continue
-            age_ns = self.now_ns - joint.reference_ns
+            age_ns = self._now() - joint.reference_ns
             if age_ns > timeout_ns:
                 age = age_ns / NANOSECONDS
-                return f"the controller of {joint.name} has published no reference for {age:.3g} s"
-        return ""
+                line = f"the controller of {joint.name} has published no reference for {age:.3g} s"
+                return _Overdue(joint.name, joint.reference_ns, line)
+        return _Overdue()
 
     def _look(self, active: _ActiveGoal, stamp_ns: int, taken: Sequence[int]) -> Outcome | None:
         """Compare the joints of a state with their references, and with the tolerances."""
@@ -380,8 +394,11 @@ class GoalFollower:
                 return self._violate(ResultCode.GOAL_TOLERANCE_VIOLATED, active, violated)
         if stamp_ns < self._late_until_ns:
             return None
-        against = self._lacking_state() or self._lost_controller()
-        return self._abort(against) if against else None
+        before, self._was_overdue = self._was_overdue, self._overdue()
+        overdue = self._was_overdue
+        # Twice: where this process has fallen behind, what is missed waits to be taken.
+        is_missed = bool(overdue.reason) and overdue[:2] == before[:2]
+        return self._abort(overdue.reason) if is_missed else None
 
     def _violate(
         self, code: ResultCode, active: _ActiveGoal, violated: Mapping[int, str]
@@ -427,7 +444,7 @@ class GoalFollower:
 
     def _hold(self) -> Outcome | None:
         """Stop all joints from where they are measured, once that is known of all of them."""
-        if self._lacking_state():
+        if self._lacking_state().reason:
             return None
         self._is_hold_due, now_ns = False, self._now()
         knots = {}

@@ -17,6 +17,7 @@ from hpid_ros.messages.joint_trajectory import encode_trajectory
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import (
     LATCHED,
+    NEWEST_REFERENCE,
     NEWEST_STATES,
     overridable,
     steady_timer,
@@ -66,7 +67,7 @@ class GroupTopics:
         self.has_reference = [False] * len(references)
         for number, (joint, topic) in enumerate(references.items()):
             take = partial(self._on_reference, number, JointReader(joint))
-            node.create_subscription(JointState, topic, take, NEWEST_STATES, raw=True)
+            node.create_subscription(JointState, topic, take, NEWEST_REFERENCE, raw=True)
         self._silence, self._seen_ns = 0.0, follower.now_ns
         self._looked_at = time.monotonic()
         self._look_period = follower.settings.fixed.state_timeout / _LOOKS

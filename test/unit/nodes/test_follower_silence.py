@@ -91,6 +91,18 @@ def test_a_controller_that_tells_its_reference_no_more_aborts_the_goal():
     group.begin(moving())
 
 
+def test_a_reference_that_waits_while_a_newer_state_is_taken_is_not_missed():
+    group = started()
+    group.run(0.3)
+    group.mute = {0, 1}
+    group.run(0.501)
+    for joint, loop in enumerate(group.loops):
+        group.note(group.follower.take_reference(joint, group.stamp_ns, loop.reference[0]))
+    group.mute = set()
+    group.run(3.0, until=lambda: group.results)
+    assert group.results[0].code is ResultCode.SUCCESSFUL
+
+
 def test_controllers_that_never_tell_their_references_are_taken_at_their_word():
     group = SimulatedGroup()
     group.mute = {0, 1}
