@@ -51,16 +51,16 @@ class Kernel:
             float(each.integrate(-1.0, 1.0)) / area * scale**p for p, each in enumerate(powers)
         ]
 
-    def taps(self, offsets: Numbers, spacing: float, order: int) -> Numbers:
-        """Return the weights of evenly spaced samples that give a smoothed derivative at 0.
+    def taps(self, reach: int, spacing: float, order: int) -> Numbers:
+        """Return the weights of samples to either side of one that give a smoothed derivative.
 
         The moments of these sums are those of the integrals, so that a constant has no
         derivative, whatever the sampling.
         """
         spline, factor = self._of[order]
         sign = -1.0 if order % 2 else 1.0
-        taps = sign * factor * spacing * spline(offsets / self.half_width)
-        scaled = offsets / self.half_width
+        scaled = spacing * np.arange(-reach, reach + 1.0) / self.half_width
+        taps = sign * factor * spacing * spline(scaled)
         rows = np.vander(scaled, _MOMENTS, increasing=True).T
         wanted = np.zeros(_MOMENTS)
         for power in range(order, _MOMENTS):
@@ -253,11 +253,6 @@ class Grid(NamedTuple):
         cells = self.begin + self.stride * np.arange(self.rows)
         return np.asarray(self.first + self.length * cells)
 
-    @property
-    def offsets(self) -> Numbers:
-        """When the cells are that have weight for a row, after it, in [s]."""
-        return np.asarray(self.length * np.arange(-self.reach, self.reach + 1.0))
-
     def smoothed(self, cells: Numbers, kernel: Kernel, order: int = 0) -> Numbers:
         """Return a smoothed derivative at the rows."""
         return self._convolved(cells, kernel, order, self.begin, self.stride, self.rows)
@@ -274,7 +269,7 @@ class Grid(NamedTuple):
     def _convolved(
         self, cells: Numbers, kernel: Kernel, order: int, begin: int, stride: int, rows: int
     ) -> Numbers:
-        taps = kernel.taps(self.offsets, self.length, order)
+        taps = kernel.taps(self.reach, self.length, order)
         needed = cells[begin - self.reach : begin + self.reach + stride * (rows - 1) + 1]
         return np.asarray(np.correlate(needed, taps, "valid")[::stride])
 
@@ -359,7 +354,7 @@ class Rows:
         """Return which share of a row's weight lies where the direction is in doubt, (R,)."""
         known = []
         for grid, _, _, is_slow in self._velocities:
-            weights = np.abs(self.kernel.taps(grid.offsets, grid.length, 0))
+            weights = np.abs(self.kernel.taps(grid.reach, grid.length, 0))
             slow = np.convolve(is_slow, weights / weights.sum(), "same")
             known.append(1.0 - slow[grid.begin + grid.stride * np.arange(grid.rows)])
         return 1.0 - _joined(known)
