@@ -31,7 +31,8 @@ from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
 from hpid_ros.control.norms import NormType
 from hpid_ros.control.settings import NormSettings
-from hpid_ros.stability.certification import best_spans, certified_degree_interval
+from hpid_ros.stability.certificate_search import certified_degree_interval
+from hpid_ros.stability.certification import best_spans
 from hpid_ros.stability.closed_loop import Norm
 from hpid_ros.stability.gain_check import integral_ratio
 

@@ -138,7 +138,7 @@ def _key(settings: LoopSettings) -> Hashable:
 
 def main() -> int:
     # Imported here: a node that asks does not wait for the search.
-    from hpid_ros.stability.certification import certified_degree_interval
+    from hpid_ros.stability.certificate_search import certified_degree_interval
 
     try:
         settings = LoopSettings.from_parameters(json.load(sys.stdin))

@@ -22,13 +22,8 @@ from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import Gains, HomogeneousPid, is_hurwitz
 from hpid_ros.control.norms import CanonicalNorm, NormFamily, NormType, WeightedNorm
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.stability.certification import (
-    best_spans,
-    certified_degree_interval,
-    certify_degree,
-    require_certifiable,
-    verify_certificate,
-)
+from hpid_ros.stability.certificate_search import certified_degree_interval, certify_degree
+from hpid_ros.stability.certification import best_spans, require_certifiable, verify_certificate
 from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
@@ -162,7 +157,7 @@ class DegreeChecker:
         """Return why a loop is not certified, in one line; empty if it is.
 
         The linear law is certified by Routh and Hurwitz, the homogeneous one at its degree by
-        :func:`~hpid_ros.stability.certification.certify_degree`, at the inertia of its settings.
+        :func:`.certify_degree`, at the inertia of its settings.
         """
         reason = self.instability(settings)
         if reason or settings.degree == 0.0:

@@ -22,7 +22,8 @@ from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics import Comparison
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.simulation.settings import Encoder
-from hpid_ros.stability.certification import certified_degree_interval, verify_certificate
+from hpid_ros.stability.certificate_search import certified_degree_interval
+from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.tuning.robot_identification import visited_poses
 from hpid_ros.tuning.upgrade import (
     Candidate,

@@ -13,14 +13,21 @@ from scipy.optimize import linprog
 
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, WeightedNorm
-from hpid_ros.stability.certification import (
-    best_spans,
+from hpid_ros.stability.certificate_search import (
+    SphereGrid,
     certified_degree_interval,
     certify_degree,
+    first_shapes,
+    growth_rates,
+    least_maximum,
+    lyapunov_solution,
+    scaled_loop,
     shared_spans,
-    span_margins,
-    verify_certificate,
+    time_unit,
+    worst_rate,
+    worst_rates,
 )
+from hpid_ros.stability.certification import best_spans, span_margins, verify_certificate
 from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
@@ -31,17 +38,6 @@ from hpid_ros.stability.closed_loop import (
     unit_curve,
 )
 from hpid_ros.stability.gain_check import settling_time_bound
-from hpid_ros.stability.quadratic_forms import (
-    SphereGrid,
-    first_shapes,
-    least_maximum,
-    lyapunov_solution,
-    monotonicity,
-    scaled_loop,
-    time_unit,
-    worst_rate,
-    worst_rates,
-)
 
 DEGREES = st.floats(-0.49, 0.49)
 WEIGHTS = st.floats(-1.5, 1.5).map(lambda power: 10.0**power)
@@ -107,7 +103,7 @@ def test_closed_loop_is_driven_by_the_law_itself(gains, norm, state):
 @given(GAINS, DEGREES, STATES, st.floats(-3.0, 3.0))
 def test_state_norm_is_homogeneous_and_one_on_its_sphere(gains, degree, state, s):
     shape = lyapunov_solution(scaled_loop(gains), (1.0, 1.0, 1.0))
-    if monotonicity(shape, degree) <= 0.05:
+    if growth_rates(shape, [degree])[0, 0] <= 0.05:
         return
     on_sphere = dilated(degree, state, -np.log(state_norm(shape, degree, state)))
     assert on_sphere @ shape @ on_sphere == pytest.approx(1.0, rel=1e-9)
@@ -121,14 +117,16 @@ def test_search_and_check_see_the_same_sphere(gains, norm, log_scale, q):
     """The two share nothing but P: other points, other units, another form of the field."""
     unit = time_unit(gains)
     shape = 10.0**log_scale * lyapunov_solution(scaled_loop(gains), (1.0, q, 1.0 / q))
-    if monotonicity(shape, norm.degree) <= 0.05:
+    if growth_rates(shape, [norm.degree])[0, 0] <= 0.05:
         return
     seen = -unit * SphereGrid(gains, norm, 100, 160).rates(shape).max()
     units = np.array([1.0, 1.0 / unit, 1.0 / unit**2])
     physical = tuple(map(tuple, shape * np.outer(units, units)))
     span = CertifiedSpan(inertia=1.0, norms=(norm,), shape=physical, rate=0.0)
     checked = span_margins(gains, span, norm)
-    assert checked.monotonicity == pytest.approx(monotonicity(shape, norm.degree), rel=1e-6)
+    assert checked.monotonicity == pytest.approx(
+        growth_rates(shape, [norm.degree])[0, 0], rel=1e-6
+    )
     assert checked.rate == pytest.approx(seen, rel=0.03, abs=0.01 * unit)
 
 

@@ -6,7 +6,8 @@ from hpid_ros.base.errors import GainError
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.settings import NormSettings
 from hpid_ros.stability import gain_check as module
-from hpid_ros.stability.certification import certified_degree_interval, verify_certificate
+from hpid_ros.stability.certificate_search import certified_degree_interval
+from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.gain_check import certified_degrees, kind_of
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
-from hpid_ros.stability.certification import best_spans, certify_degree
+from hpid_ros.stability.certificate_search import certify_degree
+from hpid_ros.stability.certification import best_spans
 from hpid_ros.stability.closed_loop import closed_loop_field, dilated, state_norm
 from hpid_ros.stability.gain_check import decay_time
 

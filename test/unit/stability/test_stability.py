@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
 from hpid_ros.control.homogeneous_pid import is_hurwitz
-from hpid_ros.stability.certification import certified_degree_interval, verify_certificate
+from hpid_ros.stability.certificate_search import certified_degree_interval
+from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.gain_check import (
     decay_time,
     integral_ratio,
