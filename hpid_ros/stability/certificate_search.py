@@ -239,8 +239,7 @@ def least_maximum(
         excess = matrix @ point - bounds
         enters = int(excess.argmax())
         if excess[enters] <= _FEASIBLE * (1.0 + abs(bounds[enters])):
-            best: Numbers = np.clip(point[:n], -radius, radius)
-            return best
+            return np.asarray(np.clip(point[:n], -radius, radius))
         multipliers = target @ inverse
         change = matrix[enters] @ inverse
         falls = change > _TINY
@@ -277,8 +276,7 @@ def lyapunov_solution(loop: Numbers, cost: Sequence[float]) -> Numbers:
     eye = np.eye(3)
     equations = np.kron(loop.T, eye) + np.kron(eye, loop.T)
     shape = np.linalg.solve(equations, -np.diag(cost).ravel()).reshape(3, 3)
-    symmetric: Numbers = 0.5 * (shape + shape.T)
-    return symmetric
+    return np.asarray(0.5 * (shape + shape.T))
 
 
 def first_shapes(gains: Gains, norm: Norm) -> Numbers:
@@ -385,8 +383,7 @@ def _stretched(shape: Numbers, parameters: Numbers) -> Numbers:
     stretch[_STRETCH] = parameters
     stretch[np.diag_indices(3)] = np.exp(np.diag(stretch))
     factor = np.linalg.cholesky(shape) @ stretch
-    result: Numbers = factor @ factor.T
-    return result
+    return np.asarray(factor @ factor.T)
 
 
 NormOfDegree = Callable[[float], Norm]
@@ -564,12 +561,10 @@ class CertificateSearch:
     def _units(self) -> Numbers:
         """Return what turns a P in [rad], [s] into one in units of ki^(1/3)."""
         scales = time_unit(self._effective) ** np.arange(3.0)
-        units: Numbers = np.multiply.outer(scales, scales)
-        return units
+        return np.asarray(np.multiply.outer(scales, scales))
 
     def _in_units(self, span: CertifiedSpan) -> Numbers:
-        shape: Numbers = np.array(span.shape) * self._units()
-        return shape
+        return np.asarray(np.array(span.shape) * self._units())
 
     def _grids(self, degrees: tuple[float, ...], size: tuple[int, int]) -> list[SphereGrid]:
         return [SphereGrid(self._effective, self.norm(degree), *size) for degree in degrees]

@@ -175,8 +175,7 @@ def _largest(
 
 
 def _around(centres: Numbers, widths: Numbers) -> Numbers:
-    spread: Numbers = centres[:, None] + widths[:, None] * np.linspace(-1.0, 1.0, _ZOOM)
-    return spread
+    return np.asarray(centres[:, None] + widths[:, None] * np.linspace(-1.0, 1.0, _ZOOM))
 
 
 def _require_shape(span: CertifiedSpan) -> None:

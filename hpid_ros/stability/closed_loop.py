@@ -42,8 +42,7 @@ def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Numbers:
     e, de = np.broadcast_arrays(np.asarray(errors, float), np.asarray(rates, float))
     if isinstance(norm, WeightedNorm):
         power = np.abs(e) ** (1.0 / (1.0 - norm.degree))
-        weighted: Numbers = norm.error_weight * power + norm.rate_weight * np.abs(de)
-        return weighted
+        return np.asarray(norm.error_weight * power + norm.rate_weight * np.abs(de))
     (p11, p12), (_, p22) = norm.shape
     return canonical_values(norm.degree, (p11, p12, p22), e, de)
 
@@ -92,8 +91,7 @@ def canonical_values(
         s = after
         if not moved.any():
             break
-    norms: Numbers = np.where(is_zero, 0.0, np.exp(scale + s))
-    return norms
+    return np.asarray(np.where(is_zero, 0.0, np.exp(scale + s)))
 
 
 def unit_curve(norm: Norm, count: int) -> Numbers:
@@ -116,8 +114,7 @@ def unit_curve(norm: Norm, count: int) -> Numbers:
         + 2.0 * p12 * direction[:, 0] * direction[:, 1]
         + p22 * direction[:, 1] ** 2
     )
-    points: Numbers = direction / np.sqrt(square)[:, None]
-    return points
+    return np.asarray(direction / np.sqrt(square)[:, None])
 
 
 def effective_gains(gains: Gains, inertia: float) -> Gains:
@@ -154,8 +151,7 @@ def closed_loop_field(
 def dilated(degree: float, states: ArrayLike, s: ArrayLike) -> Numbers:
     r"""Return :math:`\mathrm{diag}(e^{(1-\mu)s}, e^{s}, e^{(1+\mu)s})\,x` for many states."""
     exponents = np.array([1.0 - degree, 1.0, 1.0 + degree])
-    moved: Numbers = np.exp(np.multiply.outer(np.asarray(s, float), exponents)) * states
-    return moved
+    return np.asarray(np.exp(np.multiply.outer(np.asarray(s, float), exponents)) * states)
 
 
 def state_norm(shape: ArrayLike, degree: float, states: ArrayLike) -> Numbers:
@@ -175,8 +171,7 @@ def state_norm(shape: ArrayLike, degree: float, states: ArrayLike) -> Numbers:
         y = dilated(degree, unit, -middle)
         is_outside = np.einsum("...i,ij,...j->...", y, p, y) > 1.0
         low, high = np.where(is_outside, middle, low), np.where(is_outside, high, middle)
-    norms: Numbers = np.exp(scale + 0.5 * (low + high))
-    return norms
+    return np.asarray(np.exp(scale + 0.5 * (low + high)))
 
 
 Matrix = tuple[tuple[float, ...], ...]
