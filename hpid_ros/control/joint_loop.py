@@ -54,7 +54,7 @@ class LoopCounts:
     samples: int = 0  # states that were answered with a new effort
     repeats: int = 0  # states with the stamp of the one before
     resets: int = 0  # states older than the one before: the clock went back
-    gaps: int = 0  # states later than state_timeout after the one before
+    gaps: int = 0  # states passed over, later than state_timeout after the one before
     silences: int = 0  # times in which no state came for longer than state_timeout
     takeovers: int = 0
     jumps: int = 0  # states rejected because no joint can have moved that far
@@ -444,7 +444,6 @@ class JointLoop:
         counts.saturated += self._law.is_saturated
         if dt > _LATE * timing.control_period:
             counts.missed += max(round(dt / timing.control_period) - 1 - self._refused, 0)
-            counts.gaps += dt > timing.state_timeout
 
     def _feed_forward(self, stamp_ns: int, *, is_takeover: bool) -> float:
         """Return the effort that the reference of this sample needs, in [N m]."""
@@ -520,6 +519,8 @@ class JointLoop:
     def _pass_over_gap(self, stamp_ns: int, dt: float) -> float:
         """Answer the first state after a gap with the active effort: its stamp may be wrong."""
         self.last_fault = f"no usable state for {dt:g} s by the stamps"
+        self.counts.gaps += 1
+        self.counts.rejected += 1
         if self.state is LoopState.SILENT:
             self._law.override_effort(self.settings.effort.fallback)
         self._skip(stamp_ns)
