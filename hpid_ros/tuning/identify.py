@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import Numbers
 from hpid_ros.tuning.joint_record import JointRecord, Kernel, Rows, Span
 from hpid_ros.tuning.regression import INERTIA, Equation, Model, RigidBody
@@ -70,20 +70,14 @@ _TOO_SLOW = "its direction is hardly ever known: it should move faster, or rever
 
 
 @dataclass(frozen=True)
-class Method:
+class Method(Record):
     """How joints are identified."""
 
-    cutoff: float | None = None  # [Hz] of the low pass; chosen by the noise of each joint if None
-    longest_delay: float = 0.1  # [s] from effort to motion
-    has_scale: bool = False
-
-    def __post_init__(self) -> None:
-        if self.cutoff is not None and not 0.0 < self.cutoff < math.inf:
-            raise SettingError(f"cutoff must be above 0 Hz, not {self.cutoff:g}")
-        if not 0.0 < self.longest_delay <= 1.0:
-            raise SettingError(
-                f"longest_delay must be above 0 and at most 1 s, not {self.longest_delay:g}"
-            )
+    cutoff: float | None = quantity(
+        "Low pass; chosen by the noise of each joint if None", "Hz", default=None, above=0.0
+    )
+    longest_delay: float = quantity("From effort to motion", "s", default=0.1, above=0.0, most=1.0)
+    has_scale: bool = quantity("Efforts are in a unit of their own", default=False)
 
 
 def identify(
