@@ -18,7 +18,7 @@ class Estimation:
     """
 
     __slots__ = (
-        *("_fed_forward", "_observer", "_position_offset", "_fade_time", "_settings", "_source"),
+        *("_opposing", "_observer", "_position_offset", "_fade_time", "_settings", "_source"),
         *("position", "velocity"),
     )
 
@@ -41,7 +41,7 @@ class Estimation:
         self._source.reset()
         self.position = self.velocity = 0.0
         self._position_offset = self._fade_time = 0.0  # [rad] of a former observer, [s] to fade it
-        self._fed_forward = 0.0  # [N m] of the last sample against the observer's disturbance
+        self._opposing = 0.0  # [N m] of the last sample against the observer's disturbance
 
     def forget_velocity(self) -> None:
         """Forget the velocity's past; the effort fed forward stays."""
@@ -80,10 +80,10 @@ class Estimation:
                 self._fade_time = settings.timing.takeover_time
             self._source.start_from(position, self.velocity)
 
-    def update_fed_effort(self, model_gain: float) -> float:
-        """Compute the fed effort again with these settings; return the decrease in [N m]."""
-        before, self._fed_forward = self._fed_forward, 0.0
-        return before - (self.feed(model_gain) if self.feeds_disturbance else 0.0)
+    def recompute_opposing(self, model_gain: float) -> float:
+        """Compute the effort against the disturbance again; return its decrease in [N m]."""
+        before, self._opposing = self._opposing, 0.0
+        return before - (self.oppose(model_gain) if self.opposes_disturbance else 0.0)
 
     def send(self, effort: float, model_gain: float) -> None:
         """Give the observer, if there is one, what acts on the joint from the last sample on.
@@ -91,7 +91,7 @@ class Estimation:
         That is the effort sent without the model's own, over the model's gain.
         """
         if self._observer is not None:
-            self._observer.send(effort + self._fed_forward / model_gain)
+            self._observer.send(effort + self._opposing / model_gain)
 
     def coast(self, dt: float) -> None:
         """Let the observer, if there is one, go on under the effort sent, without a sample."""
@@ -109,15 +109,15 @@ class Estimation:
         self.position, self.velocity = observer.position, observer.velocity
 
     @property
-    def feeds_disturbance(self) -> bool:
+    def opposes_disturbance(self) -> bool:
         """Whether effort against an observed disturbance is fed forward."""
         return self._observer is not None and self._settings.observer.feed_disturbance
 
-    def feed(self, model_gain: float) -> float:
+    def oppose(self, model_gain: float) -> float:
         """Return the effort against the disturbance that the observer estimates, in [N m]."""
         assert self._observer is not None
-        self._fed_forward = -model_gain * self._observer.effort
-        return self._fed_forward
+        self._opposing = -model_gain * self._observer.effort
+        return self._opposing
 
     def _fade(self, dt: float) -> float:
         """Return what is left of the distance by which an observer was off, in [rad]."""

@@ -187,10 +187,11 @@ class JointLoop:
         self.end_relay("parameters were set")
         law, estimation, following = self._law, self._estimation, self._following
         effort = law.effort
+        # The observer first: it goes on under what was sent by the law until now.
         position = None if self.stamp_ns is None else self._position
         estimation.retune(settings, position, law.driving_effort, law.model_gain)
         kept = law.retune(settings, None if position is None else (position, estimation.velocity))
-        less = estimation.update_fed_effort(law.model_gain)
+        less = estimation.recompute_opposing(law.model_gain)
         law.reduce_model_effort(less)
         change = self._feedforward.retune(
             feedforward_gains(settings), following.velocity, following.acceleration
@@ -221,7 +222,7 @@ class JointLoop:
         self.stamp_ns: int | None = None
         """Stamp of the last usable state in [ns]; None before the first one."""
         self._refused_ns: int | None = None  # stamp of the last state, where it was not usable
-        self._refused = 0  # states since the last usable one
+        self._refused_count = 0  # states since the last usable one
         self._position = 0.0
         self.state = LoopState.WAITING
         self._is_takeover_due = False
@@ -362,8 +363,10 @@ class JointLoop:
                 return self.reject(stamp_ns, f"position {position} rad with its turns")
         allowed = self._step_max + self._speed_max * dt
         has_jumped = is_next and abs(position - self._position) > allowed
-        if has_jumped and not self._is_believed(stamp_ns, position):
-            return self._reject_jump(stamp_ns, position, dt)
+        if has_jumped and not self._is_takeover_due:
+            if not self._is_where_it_jumped(stamp_ns, position):
+                return self._reject_jump(stamp_ns, position, dt)
+            self._is_takeover_due = True
         if self._refused_ns is not None:
             self._outlier = None
         self._position = position
@@ -380,7 +383,7 @@ class JointLoop:
             return self._fault()
         self.state = LoopState.FOLLOWING if self.has_motion else LoopState.HOLDING
         self._count(dt)
-        self.stamp_ns, self._refused_ns, self._refused = stamp_ns, None, 0
+        self.stamp_ns, self._refused_ns, self._refused_count = stamp_ns, None, 0
         return effort
 
     def _answer(
@@ -400,15 +403,15 @@ class JointLoop:
         if estimation.has_observer:
             estimation.send(law.driving_effort, law.model_gain)
         estimation.update(position, velocity, dt)
-        if estimation.feeds_disturbance:
+        if estimation.opposes_disturbance:
             alone = model or _NO_MODEL
-            model = alone._replace(effort=alone.effort + estimation.feed(alone.gain))
+            model = alone._replace(effort=alone.effort + estimation.oppose(alone.gain))
         wanted, rate, acceleration = following.sample(stamp_ns, self._takeover_time, law.limits)
         if rate and law.relay is not None:
             law.relay.end("the reference moves")
         feedforward = 0.0
         if self._feedforward.is_active or following.gives_effort:
-            feedforward = self._feed_forward(stamp_ns, is_takeover=is_takeover)
+            feedforward = self._reference_effort(stamp_ns, is_takeover=is_takeover)
         if is_takeover:
             left = law.take_over(
                 model=model,
@@ -421,7 +424,9 @@ class JointLoop:
                 feedforward += left
         self.error = error = wanted - estimation.position
         if self._refused_ns is not None:
-            dt = min(dt, self._timing.control_period)  # what was not seen is not integrated
+            dt = min(
+                dt, self._timing.control_period
+            )  # errors between were not seen: not integrated
         try:
             return law.update(
                 error,
@@ -443,9 +448,9 @@ class JointLoop:
         counts.samples += 1
         counts.saturated += self._law.is_saturated
         if dt > _LATE * timing.control_period:
-            counts.missed += max(round(dt / timing.control_period) - 1 - self._refused, 0)
+            counts.missed += max(round(dt / timing.control_period) - 1 - self._refused_count, 0)
 
-    def _feed_forward(self, stamp_ns: int, *, is_takeover: bool) -> float:
+    def _reference_effort(self, stamp_ns: int, *, is_takeover: bool) -> float:
         """Return the effort that the reference of this sample needs, in [N m]."""
         forward, following = self._feedforward, self._following
         planned = following.effort(stamp_ns)
@@ -485,7 +490,7 @@ class JointLoop:
                 self._estimation.send(self._law.driving_effort, self._law.model_gain)
                 self._estimation.coast(dt)
         self._refused_ns = stamp_ns
-        self._refused += 1
+        self._refused_count += 1
 
     def _fault(self) -> float:
         self._drop_relay("a state could not be used")
@@ -496,7 +501,7 @@ class JointLoop:
         return self._law.effort
 
     def _interrupt(self, dt: float) -> None:
-        """Handle a first state, a clock that went back (reset), or a gap (takeover)."""
+        """Reset after a clock that went back, or be due for a takeover after a gap."""
         if dt < 0.0:
             self.last_fault = f"the stamp went back by {-dt:g} s"
             self.counts.resets += 1
@@ -526,19 +531,13 @@ class JointLoop:
         self._skip(stamp_ns)
         return self._law.effort
 
-    def _is_believed(self, stamp_ns: int, position: float) -> bool:
-        """Tell whether to believe a position where no joint can have come to.
-
-        It is believed, as a takeover, if it is where the one before it jumped to.
-        """
-        if self._is_takeover_due:
-            return True
-        if self._outlier is not None:
-            first_ns, first = self._outlier
-            apart = (stamp_ns - first_ns) * SECONDS_PER_NANOSECOND
-            allowed = self._step_max + self._speed_max * apart
-            self._is_takeover_due = apart > 0.0 and abs(position - first) <= allowed
-        return self._is_takeover_due
+    def _is_where_it_jumped(self, stamp_ns: int, position: float) -> bool:
+        """Tell whether a position is where the one before it jumped to."""
+        if self._outlier is None:
+            return False
+        first_ns, first = self._outlier
+        apart = (stamp_ns - first_ns) * SECONDS_PER_NANOSECOND
+        return apart > 0.0 and abs(position - first) <= self._step_max + self._speed_max * apart
 
     def _reject_jump(self, stamp_ns: int, position: float, dt: float) -> float:
         """Pass over the first position that jumped, with the active effort; refuse others."""

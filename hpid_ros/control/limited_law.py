@@ -16,9 +16,9 @@ class LimitedLaw:
     """The law of one joint with model term, relay, limits and anti-windup."""
 
     __slots__ = (
+        "_added_effort",
         "_anti_windup",
         "_clamp",
-        "_feedforward",
         "_has_integral",
         "_integral_clamp",
         "_is_external",
@@ -97,7 +97,7 @@ class LimitedLaw:
         return (self.effort - self._model_offset) / self.model_gain
 
     def reduce_model_effort(self, effort: float) -> None:
-        """Count so much less of the active effort as the model's."""
+        """Note that so much less of the active effort is the model's, in [N m]."""
         self.model_effort -= effort
         self._model_offset -= effort
 
@@ -119,7 +119,7 @@ class LimitedLaw:
         self._law.reset()
         self.override_effort(0.0)
         self.model_gain = 1.0
-        self.model_effort = self._model_offset = self._feedforward = 0.0
+        self.model_effort = self._model_offset = self._added_effort = 0.0
 
     def take_over(
         self,
@@ -137,7 +137,7 @@ class LimitedLaw:
         integral = self.effort
         if is_next and not self._is_external:
             terms = self.terms
-            rest = terms.p + terms.i + self.model_effort + self._feedforward
+            rest = terms.p + terms.i + self.model_effort + self._added_effort
             integral = min(max(rest, least), most)
         integral -= feedforward
         gain = 1.0
@@ -180,7 +180,7 @@ class LimitedLaw:
                 added += gain * acceleration
             self.model_effort = added
             wanted = gain * wanted + added
-        self._feedforward = feedforward
+        self._added_effort = feedforward
         if feedforward:
             wanted += feedforward
         if self.relay is not None:

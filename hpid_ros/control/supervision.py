@@ -156,7 +156,7 @@ class SupervisedLoop:
         position: float,
         velocity: float | None,
         now_ns: int,
-        answer: Callable[[], float] | None = None,
+        step: Callable[[], float] | None = None,
     ) -> float:
         """Take one state and return the effort that answers it in [N m]."""
         silence, is_unnoticed = self.watchdog.observe(stamp_ns, now_ns)
@@ -168,9 +168,7 @@ class SupervisedLoop:
             self.loop.supersede(0.0)
         if self._stop is not None:
             return self._stop.step(stamp_ns, position, velocity)
-        if answer is not None:
-            return answer()
-        return self.loop.step(stamp_ns, position, velocity)
+        return self.loop.step(stamp_ns, position, velocity) if step is None else step()
 
     def _note(self, silence: StateTimeout | None) -> None:
         if silence is None:
