@@ -1,1 +1,1 @@
-"""The executables; a node is a shell around one pure object."""
+"""The executables, with ``core`` for all of them and ``parts`` for one kind."""

@@ -1,1 +1,1 @@
-"""Tables, figures, and the page of a result."""
+"""Tables, figures, the page of a result, margins, and animations."""

@@ -1,1 +1,1 @@
-"""Robots: the URDF as a record, kinematics, dynamics, and the model terms of a loop."""
+"""Robots: the URDF as a record, kinematics, dynamics, shapes, the rolling base, and the model terms of a loop."""

@@ -1,1 +1,1 @@
-"""The simulated robot in PyBullet or MuJoCo: efforts in, measured positions out."""
+"""The simulated robot in PyBullet or MuJoCo, and the whole loop around it without ROS."""

@@ -1,1 +1,1 @@
-"""Certificates of stability for intervals of the degree, and margins of the frozen loop."""
+"""Certificates of stability, verdicts on gains, and margins of the frozen loop."""
