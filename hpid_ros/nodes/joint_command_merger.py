@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.timer import Timer
 
@@ -236,6 +237,7 @@ def _readings(merger: CommandMerger) -> dict[str, object]:
 
 _ZEROS = 10  # with which it leaves: nobody acknowledges a best-effort message
 _BETWEEN_ZEROS = 0.01  # [s]
+_ACKNOWLEDGED_WITHIN = 0.5  # [s], by reliable subscribers
 
 
 class JointCommandMerger(ManagedNode):
@@ -399,6 +401,7 @@ class JointCommandMerger(ManagedNode):
         commanders, sender = self._commanders, self._reader.sender
         if commanders is None:
             return
+        commanders.move()
         names, efforts = commanders.heed(names, efforts, sender)
         for name, effort in zip(names, efforts, strict=True):
             self._stream.take(name, stamp_ns, effort, is_signed=bool(sender))
@@ -500,6 +503,7 @@ class JointCommandMerger(ManagedNode):
             time.sleep(_BETWEEN_ZEROS)
             self._watch.look()
             self._repeat_zero()
+        self.wait_until_cut(_ACKNOWLEDGED_WITHIN)
 
     def check(self) -> float:
         """Send the fallbacks of silent joints, and what else is due."""
@@ -508,6 +512,10 @@ class JointCommandMerger(ManagedNode):
     def cut_effort(self) -> bool:
         self._stream.cut()
         return True
+
+    def wait_until_cut(self, within: float) -> None:
+        """Wait until reliable subscribers have acknowledged the last zero."""
+        self._output.publisher.wait_for_all_acked(Duration(seconds=within))
 
     def restore_effort(self) -> None:
         """Merge again; the joints come back from zero."""

@@ -1,1 +1,1 @@
-"""Robots: the URDF as a record, kinematics, dynamics, shapes, the rolling base, and the model terms of a loop."""
+"""The URDF as a record, kinematics, dynamics, shapes, rolling base, model terms of a loop."""

@@ -42,9 +42,10 @@ def told(harness):
 def bench(module_harness):
     """Return a merger that no test ends, with the stand-in's controller behind it."""
     with Ros2Control(module_harness.context, INERTIAS) as control:
-        start_merger(module_harness)
+        merger = start_merger(module_harness)
         yield SimpleNamespace(
             harness=module_harness,
+            process=merger.process,
             control=control,
             told=Told(module_harness, MERGER),
             command=Commander(module_harness),
@@ -334,7 +335,23 @@ def test_a_second_source_of_a_joint_is_not_obeyed_and_both_are_named(merging):
     merging.command.until(EFFORTS, is_named, "both of them")
     received.clear()  # what is heard from here on was merged with both of them there
     merging.command.until(EFFORTS, lambda: rival({"elbow": 99.0}) or len(received) > 5, "more")
-    assert {numbers[2] for _, numbers in received} == {3.0}
+    # A merger that has stood still takes what waits for it; the rival's command may be the first.
+    # Its joints were silent for it meanwhile, and come back from zero.
+    merging.process.send_signal(signal.SIGSTOP)
+    awake = time.monotonic() + 1.0
+    merging.harness.wait(
+        lambda: rival({"elbow": 99.0}) or time.monotonic() > awake, what="it to stand still"
+    )
+    merging.process.send_signal(signal.SIGCONT)
+    heard = len(received)
+    merging.command.until(
+        EFFORTS,
+        lambda: (
+            rival({"elbow": 99.0}) or (len(received) > heard + 5 and received[-1][1][2] == 3.0)
+        ),
+        "the same again",
+    )
+    assert all(0.0 <= numbers[2] <= 3.0 for _, numbers in received)
 
 
 def dynamic(message):

@@ -129,7 +129,7 @@ class Commanders:
         return tuple(compress(names, taken)), tuple(compress(efforts, taken))
 
     def move(self) -> None:
-        """Note that a state is due; after a standstill no joint is silent yet."""
+        """Note that time goes on; after a standstill no joint is silent yet."""
         now = time.perf_counter()
         if now - self._moved > self._patience:
             for followed in self._followed.values():
