@@ -424,9 +424,8 @@ class JointLoop:
                 feedforward += left
         self.error = error = wanted - estimation.position
         if self._refused_ns is not None:
-            dt = min(
-                dt, self._timing.control_period
-            )  # errors between were not seen: not integrated
+            # The errors between were not seen: they are not integrated.
+            dt = min(dt, self._timing.control_period)
         try:
             return law.update(
                 error,

@@ -38,9 +38,9 @@ class DampingStop:
         """Take one state and return the effort that answers it in [N m]; see ``JointLoop.step``.
 
         A state that cannot be used, that is older than the last one, or whose position the joint
-        cannot have reached, gets none; a repeat what the last one got.
+        cannot have reached, gets none; a repeat what the last one got from the stop.
         """
-        if stamp_ns == self.stamp_ns:
+        if stamp_ns == self.stamp_ns and self._begin_ns is not None:
             return self.effort
         if not self.uses_velocity:
             velocity = None

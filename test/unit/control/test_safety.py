@@ -352,6 +352,7 @@ def test_a_repeat_gets_from_a_damping_stop_what_the_state_got():
     for k in range(50):
         loop.step(k * MS, 1e-3 * k, 1.0)
     stop = loop.damping_stop(0.1)
+    assert stop.step(49 * MS, 0.049, 1.0) == 0.0  # the law's effort does not go on
     effort = stop.step(50 * MS, 0.05, 1.0)
     assert effort < -10.0
     assert stop.step(50 * MS, 0.05, 1.0) == effort
