@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from benchmarks.figures import Middle
-from hpid_ros.report.style import DOTS_PER_INCH, MARKERS, RUN_STYLES, figure_style
+from hpid_ros.report.figures import RUN_STYLES
+from hpid_ros.report.style import DOTS_PER_INCH, MARKERS, figure_style
 
 NAMES = {
     "each": "a process for each controller",

@@ -22,6 +22,7 @@ COMMANDS = {
     "identify": "find inertia, friction, load and delay of joints in a bag",
     "replay": "compute every command of a recording again, and compare to the last bit",
     "repair": "save what can be read of a bag that was cut off or damaged",
+    "figures": "draw the figures of a result for print",
     "render": "draw the robot of a result as it moved, side by side, animated",
     "gains": "compute gains by a published tuning rule",
     "check-gains": "say for which degrees gains are certified stable",
@@ -77,6 +78,10 @@ def options(place: Any, text: str, **how: Any) -> None:
         if values:
             extra["metavar"] = tuple(values) if len(values) > 1 else values[0]
         place.add_argument(*names, help=" ".join(purpose.split()) or None, **extra)
+
+
+def comma_separated(text: str) -> tuple[str, ...]:
+    return tuple(each.strip().lower() for each in text.split(",") if each.strip())
 
 
 def experiment_options(parser: Parser) -> None:
@@ -154,10 +159,30 @@ def compare(parser: Parser) -> None:
     output_options(parser, "NAME")
     text = """
         --in-process  run without ROS; the numbers are the same
-        --no-figures  leave out figures/, which take the longest
+        --figures FORMAT,...  also draw figures for print, png, pdf, svg or none; hpid figures does
+            so later (none)
+        --no-figures  the same as --figures none
         --animation  animate the robot, in animation.webp and in the report (hpid render has more)
     """
-    options(parser, text)
+    options(
+        parser,
+        text,
+        figures={"type": comma_separated, "default": ()},
+        no_figures={"dest": "figures", "action": "store_const", "const": ()},
+    )
+
+
+def figures(parser: Parser) -> None:
+    parser.description = (
+        "Draw the figures of a result for print: positions, errors, efforts, norms, spectra, "
+        "phase portraits, gain multipliers, error against effort, the end effector's path."
+    )
+    text = """
+        result RESULT  folder of hpid compare or run
+        --formats NAME,...  png, pdf, svg (png)
+        --force  replace figures that exist
+    """
+    options(parser, text, result=Path, formats={"type": comma_separated, "default": ("png",)})
 
 
 def run(parser: Parser) -> None:

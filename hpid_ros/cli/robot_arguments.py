@@ -8,6 +8,7 @@ from pathlib import Path
 
 from hpid_ros.cli.arguments import (
     GAIN_OPTIONS,
+    comma_separated,
     graph_options,
     options,
     robot_options,
@@ -102,14 +103,20 @@ examples:
     text = """
         --save FILE  all numbers, to be read again
         --figures FOLDER  draw the figures
-        --formats NAME,...  png, pdf, svg (png,pdf)
+        --formats NAME,...  of the figures: png, pdf, svg (png)
         --report FILE  one self-contained web page
         --parameters FILE  parameter file of the controllers, for the report (from a result folder
             beside)
         --force  replace files that exist
     """
     options(
-        written, text, save=Path, figures=Path, formats="png,pdf", report=Path, parameters=Path
+        written,
+        text,
+        save=Path,
+        figures=Path,
+        formats={"type": comma_separated, "default": ("png",)},
+        report=Path,
+        parameters=Path,
     )
 
 

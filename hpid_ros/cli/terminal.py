@@ -36,31 +36,44 @@ class RunProgress:
     def __init__(self, console: Console, experiment: Experiment, labels: Sequence[str]) -> None:
         self._duration, self._labels = experiment.duration, tuple(labels)
         self._period = experiment.world.control_period_ns * 1e-9
+        self._console = console
+        self._begin()
+        self._begun: dict[str, tuple[float, float]] = {}
+
+    def _begin(self) -> None:
         self._progress = Progress(
             TextColumn("{task.description}", style="bold", markup=False),
             BarColumn(bar_width=24),
             TaskProgressColumn(),
             TextColumn("{task.fields[figures]}", markup=False),
             TextColumn("{task.fields[phase]}", style="dim", markup=False),
-            console=console,
+            console=self._console,
             refresh_per_second=10,
         )
         self._tasks: dict[str, TaskID] = {}
-        self._begun: dict[str, tuple[float, float]] = {}
 
     def __enter__(self) -> RunProgress:
-        self._progress.start()
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
-        for task in self._tasks.values() if error is None else ():
+        self._end(is_done=error is None)
+
+    def _end(self, *, is_done: bool) -> None:
+        for task in self._tasks.values() if is_done else ():
             self._progress.update(task, phase="")
-        self._progress.stop()
+        if self._tasks:
+            self._progress.stop()
+
+    def finish(self) -> None:
+        """Leave the bars as they are: what is printed next stands below them."""
+        self._end(is_done=True)
+        self._begin()
 
     def phase(self, label: str, what: str) -> None:
         """Show what a run is doing; the empty label stands for the work after all runs."""
         label = label or self._labels[-1]
         if label not in self._tasks:
+            self._progress.start()
             width = max(len(each) for each in self._labels)
             self._tasks[label] = self._progress.add_task(
                 label.ljust(width), total=self._duration, figures="", phase=what

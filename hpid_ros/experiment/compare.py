@@ -280,29 +280,13 @@ def save_timing(folder: ResultFolder, reports: Sequence[RunReport], how: str) ->
     folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
 
 
-def save(
-    result: Result,
-    folder: ResultFolder,
-    reports: Sequence[RunReport],
-    how: str,
-    *,
-    has_figures: bool = True,
-) -> None:
-    """Write the result: first the numbers, then what is drawn from them."""
-    save_numbers(result, folder, reports, how)
-
-    # Drawing is slow to import, and numbers that are saved survive a failure to draw them.
+def save(result: Result, folder: ResultFolder, how: str) -> None:
+    """Write the tables and the report of a result whose numbers are saved."""
     from hpid_ros.report.export import table_csv, table_latex
     from hpid_ros.report.page import render_report
 
     folder.write("table.csv", table_csv(result.comparison))
     folder.write("table.tex", table_latex(result.comparison))
-    gains = _gain_signals(result)
-    paths = result.paths
-    if has_figures:
-        from hpid_ros.report.plots import save_figures
-
-        save_figures(result.comparison, result.runs, folder.figures, gains=gains, paths=paths)
     provenance = {
         "experiment": result.experiment.name,
         "ran": how,
@@ -319,8 +303,8 @@ def save(
             result.runs,
             provenance,
             result.parameters(),
-            gains=gains,
-            paths=paths,
+            gains=_gain_signals(result),
+            paths=result.paths,
         ),
     )
 
@@ -370,6 +354,13 @@ def run_controller(
         return report, result
 
 
+Computed = Callable[[Result, Sequence[RunReport]], None]
+
+
+def _nothing(result: Result, reports: Sequence[RunReport]) -> None:
+    pass
+
+
 @dataclass(frozen=True)
 class Compared:
     result: Result  # the numbers
@@ -384,11 +375,14 @@ def compare(
     *,
     in_process: bool = False,
     force: bool = False,
-    has_figures: bool = True,
+    computed: Computed = _nothing,
 ) -> Compared:
-    """Run an experiment's controllers one after the other, record, compute, draw, certify."""
+    """Run an experiment's controllers one after the other, record, compute, report, certify.
+
+    ``computed`` is called with the numbers as soon as they are saved.
+    """
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
-        return _compare(experiment, folder, progress, in_process, has_figures)
+        return _compare(experiment, folder, progress, in_process, computed)
 
 
 @dataclass(frozen=True)
@@ -412,8 +406,8 @@ def compare_engines(
     progress: Progress,
     *,
     in_process: bool = False,
-    has_figures: bool = True,
     force: bool = False,
+    computed: Computed = _nothing,
 ) -> ComparedEngines:
     """Make the same comparison in two engines, and say how far they lie apart."""
     with ResultFolder.create(output, force=force, inputs=experiments[0].inputs) as folder:
@@ -422,7 +416,7 @@ def compare_engines(
             engine = experiment.world.engine
             part = folder.part(engine)
             told = NamedProgress(progress, engine, list(experiment.controllers))
-            compared[engine] = _compare(experiment, part, told, in_process, has_figures)
+            compared[engine] = _compare(experiment, part, told, in_process, computed)
         totals = _engine_totals({engine: each.result for engine, each in compared.items()})
         both = ComparedEngines(compared, totals, folder)
         folder.write("engines.txt", grids_text(both.grids))
@@ -453,7 +447,7 @@ def _compare(
     folder: ResultFolder,
     progress: Progress,
     in_process: bool,
-    has_figures: bool,
+    computed: Computed,
 ) -> Compared:
     if experiment.engine_note:
         progress.note(experiment.engine_note)
@@ -468,11 +462,12 @@ def _compare(
         else:
             reports.append(run_on_graph(experiment, label, bag, nodes, progress))
         progress.advanced(label, experiment.duration)
-    progress.phase("", "computing and drawing")
+    progress.phase("", "computing")
     bags = {label: folder.bag(label) for label in experiment.controllers}
     result = compute(experiment, bags)
     how = "in one process" if in_process else "ROS 2 graph"
-    save(result, folder, reports, how, has_figures=has_figures)
-    progress.phase("", "certifying the degrees")
+    save_numbers(result, folder, reports, how)
+    computed(result, reports)
+    save(result, folder, how)
     folder.write("certificates.json", json.dumps(certificates(experiment.controllers)) + "\n")
     return Compared(result, tuple(reports), folder)

@@ -176,17 +176,9 @@ class ResultFolder:
         with system_errors(f"cannot write {path}"):
             write_file(path, content)
 
-    def add(self, name: str) -> None:
-        """Note a file that was just written into a folder that was empty."""
-        self._marker.files.add(name)
-
     def part(self, name: str) -> ResultPart:
         """Return the places of one of several results that lie next to each other."""
         return ResultPart(self, name)
-
-    @property
-    def figures(self) -> Path:
-        return self.folder("figures", is_made=True)
 
     def bag(self, label: str) -> Path:
         return self.folder(f"bags/{label}")
@@ -257,6 +249,19 @@ class ResultFolder:
                 text = (self.path / name).read_text(encoding="utf-8")
                 if before in text:
                     write_file(self.path / name, text.replace(before, after))
+
+
+@contextmanager
+def reopened(path: Path) -> Iterator[ResultFolder]:
+    """Give a result that is there, or one engine's part of it, to be carried on in its place."""
+    whole = path.absolute().parent
+    marker = None if (path / MARKER).exists() else Marker.read(whole)
+    if marker is not None and any(each.startswith(f"{path.name}/") for each in marker.files):
+        with ResultFolder.reopen(whole) as folder:
+            yield folder.part(path.name)
+    else:
+        with ResultFolder.reopen(path) as folder:
+            yield folder
 
 
 class ResultPart(ResultFolder):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -99,13 +100,12 @@ def _error_rate(series: JointSeries, settings: LoopSettings) -> Numbers:
     t = series.time
     if t.size < 2:
         return np.zeros_like(t)
-    from scipy.signal import lfilter  # slow to import, and only needed here
-
     steps = np.diff(t)
     period = float(np.median(steps))
     share = period / (settings.velocity.filter_time_constant + period)
     difference = np.append(0.0, np.diff(series.position) / steps)
-    velocity: Numbers = lfilter([share], [1.0, share - 1.0], difference)
+    filtered = accumulate(share * difference, lambda last, new: (1.0 - share) * last + new)
+    velocity: Numbers = np.fromiter(filtered, float, t.size)
     return _reference_rate(series.reference, steps) - velocity
 
 

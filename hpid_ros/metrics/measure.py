@@ -262,6 +262,18 @@ def expanded(source: Source) -> list[Source]:
     return bags
 
 
+def recordings_of(result: Path) -> dict[str, Path]:
+    """Return the bags of a result folder, by label."""
+    if (result / "engines.json").is_file():
+        raise SettingError(f"{result} is of several engines: name one of its folders")
+    if not (result / RESULT).is_file():
+        raise SettingError(f"{result} is no result folder: it has no {RESULT}")
+    sources = expanded(Source(result))
+    if any(each.is_saved for each in sources):
+        raise SettingError(f"{result} has no recordings any more, or other labels than theirs")
+    return {str(each.label): each.path for each in sources}
+
+
 def labelled(sources: Sequence[Source]) -> list[Source]:
     """Give labels to bags without one: their metadata's, else as much of the path as differs."""
     labels = [

@@ -6,10 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.units import Numbers, of_slide, unit_over
 from hpid_ros.messages.series import JointSeries, RunSeries, seconds_since
 from hpid_ros.metrics.comparison import Comparison
@@ -37,6 +40,56 @@ from hpid_ros.report.table import heading_of
 
 if TYPE_CHECKING:
     from hpid_ros.metrics.task import EndEffectorPath
+
+INK = "#20242b"
+GRID = "#dfe2e7"
+PAPER = "#ffffff"
+REFERENCE = "#b4bac4"
+
+
+@dataclass(frozen=True)
+class RunStyle:
+    """The line of one run."""
+
+    color: str  # its colour
+    tint: str  # the colour of the gaps between its dashes
+    dashes: tuple[float, ...] | None  # [pt] lengths of dashes and gaps, or None for a solid line
+    width: float  # [pt] line width
+
+
+# Runs differ by hue, by lightness and by line, so that they can be told apart with any colour
+# vision and on grey paper; a peak that falls into the gap of a dashed line is drawn in its tint.
+# Dark blue, orange, green, purple: their lightness differs as well as their hue. Four more hues
+# with dashes of their own follow; after eight runs they begin again.
+RUN_STYLES = (
+    RunStyle("#0b4a8f", "#0b4a8f", None, 1.3),
+    RunStyle("#e8590c", "#f7bf9c", (7.0, 1.8), 1.3),
+    RunStyle("#2b8a5b", "#a9d8c1", (2.0, 1.2), 1.3),
+    RunStyle("#8f4bb8", "#d6bce6", (7.0, 1.5, 1.5, 1.5), 1.3),
+    RunStyle("#8a0f2e", "#d9a3b0", (11.0, 1.5), 1.3),
+    RunStyle("#0b8fa3", "#a6d9e0", (4.0, 1.2), 1.3),
+    RunStyle("#6b5200", "#cfc39c", (1.2, 1.0), 1.3),
+    RunStyle("#5a6572", "#c3c9d0", (9.0, 1.2, 1.2, 1.2, 1.2, 1.2), 1.3),
+)
+
+FIGURE_FORMATS = ("png", "pdf", "svg")
+PRINT_SAMPLES = 8000
+"""Detail of a line: twelve times the pixels of a panel in a PNG, so that a PDF can be enlarged."""
+
+
+def require_formats(formats: Sequence[str]) -> None:
+    """Refuse a format that no figure is drawn in."""
+    for form in formats:
+        if form not in FIGURE_FORMATS:
+            raise SettingError(unknown_name("figure format", form, FIGURE_FORMATS))
+
+
+def require_picture(path: Path) -> None:
+    """Refuse a file of ``--plot`` that has no such format."""
+    if path.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
+        names = ", ".join(f".{form}" for form in FIGURE_FORMATS)
+        raise SettingError(f"--plot must end in {names}, not {path.name!r}")
+
 
 NO_RUN = -1
 """Stands for a run where a line is the reference, or a mark is of no run."""
@@ -397,10 +450,15 @@ def _fitted(t: Numbers, error: Numbers) -> tuple[Numbers, Numbers]:
     """Return an error and its rate, each smoothed over :data:`RATE_WINDOW`."""
     if error.size < 4 or t[-1] <= t[0]:
         return error, np.full_like(error, np.nan)
-    from scipy.signal import savgol_filter  # slow to import, and only needed here
-
     period = float(t[-1] - t[0]) / (error.size - 1)
     half = max(1, min(round(0.5 * RATE_WINDOW / period), (error.size - 1) // 2))
     even = np.interp(np.linspace(t[0], t[-1], error.size), t, error)
-    rate = savgol_filter(even, 2 * half + 1, min(2, 2 * half), deriv=1, delta=period)
-    return savgol_filter(even, 2 * half + 1, min(2, 2 * half)), rate
+    # A parabola over each window, and those of the first and the last one for the ends: the
+    # filter of Savitzky and Golay, as in scipy.signal, which takes half a second to import.
+    offsets = np.arange(-half, half + 1)
+    to_values = np.vander(offsets, 3, increasing=True)
+    parabolas = sliding_window_view(even, offsets.size) @ np.linalg.pinv(to_values).T
+    places = np.clip(np.arange(error.size) - half, 0, len(parabolas) - 1)
+    off = np.arange(error.size) - half - places
+    c0, c1, c2 = parabolas[places].T
+    return c0 + off * (c1 + off * c2), (c1 + 2.0 * off * c2) / period

@@ -30,11 +30,20 @@ from hpid_ros.messages.messages import read_planar, read_poses
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, SeriesError, seconds_since
-from hpid_ros.metrics.measure import RESULT, Source, expanded
+from hpid_ros.metrics.measure import recordings_of
 from hpid_ros.metrics.quantities import Signal, error_of, norm_of_run, position_of, reference_of
-from hpid_ros.report.figures import NO_RUN, Figure, JointUnits, Line, Panel
+from hpid_ros.report.figures import (
+    INK,
+    NO_RUN,
+    PAPER,
+    RUN_STYLES,
+    Figure,
+    JointUnits,
+    Line,
+    Panel,
+)
 from hpid_ros.report.plots import draw_panel
-from hpid_ros.report.style import INK, PAPER, RUN_STYLES, figure_style
+from hpid_ros.report.style import figure_style
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import integrated
 from hpid_ros.robot.kinematics import axis_rotations, link_poses
@@ -125,14 +134,7 @@ class Recorded(NamedTuple):
 
 def recorded(result: Path, labels: Sequence[str] = ()) -> Recorded:
     """Return the runs of a result."""
-    if (result / "engines.json").is_file():
-        raise SettingError(f"{result} is of several engines: name one of its folders")
-    if not (result / RESULT).is_file():
-        raise SettingError(f"{result} is no result folder: it has no {RESULT}")
-    sources = expanded(Source(result))
-    if any(each.is_saved for each in sources):
-        raise SettingError(f"{result} has no recordings any more, or other labels than theirs")
-    bags = {each.label or each.path.name: each.path for each in sources}
+    bags = recordings_of(result)
     for label in labels:
         if label not in bags:
             raise SettingError(f"{result}: {unknown_name('run', label, bags)}")

@@ -17,10 +17,9 @@ from rich.text import Text
 
 from hpid_ros.base.text import figure_text
 from hpid_ros.base.units import Numbers, of_slide
+from hpid_ros.report.figures import INK, RUN_STYLES
 from hpid_ros.report.style import (
     DOTS_PER_INCH,
-    INK,
-    RUN_STYLES,
     WIDTH_IN,
     figure_style,
     laid_out,

@@ -42,8 +42,15 @@ from hpid_ros.report.blocks import (
     parameter_tables,
     retunes,
 )
-from hpid_ros.report.figures import Figure, Line, figures_of
-from hpid_ros.report.style import GRID, INK, REFERENCE, RUN_STYLES
+from hpid_ros.report.figures import (
+    GRID,
+    INK,
+    REFERENCE,
+    RUN_STYLES,
+    Figure,
+    Line,
+    figures_of,
+)
 
 if TYPE_CHECKING:
     from hpid_ros.metrics.task import EndEffectorPath

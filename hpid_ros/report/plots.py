@@ -9,48 +9,45 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
-from hpid_ros.base.errors import unknown_name
 from hpid_ros.base.text import figure_text
-from hpid_ros.messages.series import RunSeries, SeriesError
-from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.indices import total_variation
-from hpid_ros.metrics.quantities import ERROR_L2, IAVC, ITAE, IVC, Gains, Quantity
-from hpid_ros.metrics.results import RunIndices
-from hpid_ros.report.figures import NO_RUN, Figure, Line, Panel, figures_of
+from hpid_ros.metrics.quantities import ERROR_L2, IAVC, ITAE, IVC, Quantity
+from hpid_ros.report.figures import (
+    INK,
+    NO_RUN,
+    REFERENCE,
+    RUN_STYLES,
+    Figure,
+    Line,
+    Panel,
+    RunStyle,
+)
 from hpid_ros.report.style import (
     DOTS_PER_INCH,
-    INK,
     MARKERS,
     NORM_HEIGHT_IN,
     PANEL_HEIGHT_IN,
-    REFERENCE,
-    RUN_STYLES,
     WIDTH_IN,
-    RunStyle,
     add_legend,
     figure_style,
     laid_out,
     log_ticks,
     plain_ticks,
     ratio_ticks,
-    run_styles,
     styled_line,
 )
 
 if TYPE_CHECKING:
-    from hpid_ros.metrics.task import EndEffectorPath
+    pass
 
-FORMATS = ("png", "pdf", "svg")
-SAMPLES = 8000
-"""Detail of a line: twelve times the pixels of a panel in a PNG, so that a PDF can be enlarged."""
 DECADES_AT_MOST = 6.0  # of a spectrum
 MARKER_SIZE = 8.0
 _PATH_HEIGHT_IN = 5.2
@@ -62,31 +59,6 @@ _METADATA: Mapping[str, dict[str, Any]] = {
     "pdf": {"CreationDate": None, "Producer": None, "Creator": None},
     "svg": {"Date": None, "Creator": None},
 }
-
-
-def save_figures(
-    comparison: Comparison,
-    runs: Sequence[RunSeries],
-    folder: Path,
-    formats: Iterable[str] = ("png", "pdf"),
-    *,
-    repeats: Sequence[RunIndices] = (),
-    gains: Gains | None = None,
-    paths: Sequence[EndEffectorPath] = (),
-) -> list[Path]:
-    """Draw all figures into a folder, which must exist; files of the same name are replaced."""
-    wanted = tuple(formats)
-    for form in wanted:
-        if form not in FORMATS:
-            raise SeriesError(unknown_name("figure format", form, FORMATS))
-    labels = [run.label for run in comparison.runs]
-    written: list[Path] = []
-    for each in figures_of(comparison, runs, SAMPLES, repeats=repeats, gains=gains, paths=paths):
-        drawing = drawn(each, labels)
-        for form in wanted:
-            written.append(Path(folder) / f"{each.name}.{form}")
-            written[-1].write_bytes(render(drawing, form))
-    return written
 
 
 @figure_style()
@@ -266,7 +238,7 @@ def front_figure(searches: Sequence[SearchPoints], baseline: str = "PID") -> Dra
     figure = Drawing(figsize=(WIDTH_IN, NORM_HEIGHT_IN), dpi=DOTS_PER_INCH)
     looks = [
         (search, style, MARKERS[k % len(MARKERS)])
-        for k, (search, style) in enumerate(zip(searches, run_styles(), strict=False))
+        for k, (search, style) in enumerate(zip(searches, cycle(RUN_STYLES), strict=False))
     ]
     for panel, (across, up) in zip(figure.subplots(1, len(PAIRS)), PAIRS, strict=True):
         panel.set(xscale="log", yscale="log")

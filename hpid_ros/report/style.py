@@ -1,9 +1,4 @@
-"""The look of the printed figures: colours, lines, sizes, ticks, legends.
-
-Runs differ by hue, by lightness and by line, so that they can be told apart with any colour
-vision and on grey paper. The gaps of a dashed line are filled with a tint of its own colour: a
-peak that falls into a gap is still drawn.
-"""
+"""The look of the printed figures: fonts, sizes, ticks, legends."""
 
 from __future__ import annotations
 
@@ -11,7 +6,6 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
@@ -30,39 +24,13 @@ from matplotlib.ticker import (
     NullLocator,
 )
 
-INK = "#20242b"
-GRID = "#dfe2e7"
-PAPER = "#ffffff"
-REFERENCE = "#b4bac4"
+from hpid_ros.report.figures import GRID, INK, PAPER, RunStyle
+
 DOTS_PER_INCH = 150
 WIDTH_IN = 10.0
 PANEL_HEIGHT_IN = 1.75
 NORM_HEIGHT_IN = 4.0
-
-
-@dataclass(frozen=True)
-class RunStyle:
-    """The line of one run."""
-
-    color: str  # its colour
-    tint: str  # the colour of the gaps between its dashes
-    dashes: tuple[float, ...] | None  # [pt] lengths of dashes and gaps, or None for a solid line
-    width: float  # [pt] line width
-
-
-# Dark blue, orange, green, purple: their lightness differs as well as their hue. Four more hues
-# with dashes of their own follow; after eight runs they begin again.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-RUN_STYLES = (
-    RunStyle("#0b4a8f", "#0b4a8f", None, 1.3),
-    RunStyle("#e8590c", "#f7bf9c", (7.0, 1.8), 1.3),
-    RunStyle("#2b8a5b", "#a9d8c1", (2.0, 1.2), 1.3),
-    RunStyle("#8f4bb8", "#d6bce6", (7.0, 1.5, 1.5, 1.5), 1.3),
-    RunStyle("#8a0f2e", "#d9a3b0", (11.0, 1.5), 1.3),
-    RunStyle("#0b8fa3", "#a6d9e0", (4.0, 1.2), 1.3),
-    RunStyle("#6b5200", "#cfc39c", (1.2, 1.0), 1.3),
-    RunStyle("#5a6572", "#c3c9d0", (9.0, 1.2, 1.2, 1.2, 1.2, 1.2), 1.3),
-)
 
 _RC = {
     "axes.axisbelow": True,
@@ -104,11 +72,6 @@ def figure_style() -> Iterator[None]:
     """Apply this look within a ``with`` block, whatever the user's matplotlibrc says."""
     with matplotlib.style.context(["default", _RC]):
         yield
-
-
-def run_styles() -> Iterator[RunStyle]:
-    """Return the styles of the runs in order, from the beginning again after the last."""
-    return itertools.cycle(RUN_STYLES)
 
 
 _WIDE, _NARROW = 12.0, 3.0

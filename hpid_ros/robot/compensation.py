@@ -20,7 +20,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.files import find_resource
@@ -313,7 +312,9 @@ class RobotDynamics:
     """Solves the equations of motion once for each state, however many joints ask."""
 
     def __init__(self, space: JointSpace) -> None:
-        self.space = space
+        from scipy.linalg import lapack  # slow to import, and only needed here
+
+        self.space, self.lapack = space, lapack
         self._state: RobotState | None = None
         self._solved: tuple[Numbers, Numbers, Numbers]
 
@@ -322,7 +323,7 @@ class RobotDynamics:
         if state is self._state:
             return self._solved
         mass, bias = self.space.equations(state.positions, state.velocities)
-        factor, failed = lapack.dpotrf(mass, clean=False)
+        factor, failed = self.lapack.dpotrf(mass, clean=False)
         if failed:
             raise ArithmeticError("the model's mass matrix is not positive definite")
         self._solved = factor, bias, np.array(state.efforts)
@@ -346,7 +347,7 @@ class DecouplingShare:
         """Return what one unit of acceleration costs, and what the dynamics do, at one state."""
         factor, bias, efforts = self.dynamics.at(state)
         row = self._row
-        column, _ = lapack.dpotrs(factor, self._unit)  # of B, which is symmetric
+        column, _ = self.dynamics.lapack.dpotrs(factor, self._unit)  # of B, which is symmetric
         gain = 1.0 / float(column[row])
         load = bias - efforts
         load[row] = bias[row]

@@ -17,11 +17,9 @@ from rich.text import Text
 from hpid_ros.base.text import figure_text, shown
 from hpid_ros.base.units import Numbers
 from hpid_ros.motion.excitation import ExcitationPlan
+from hpid_ros.report.figures import INK, REFERENCE, RUN_STYLES
 from hpid_ros.report.style import (
     DOTS_PER_INCH,
-    INK,
-    REFERENCE,
-    RUN_STYLES,
     WIDTH_IN,
     add_legend,
     figure_style,

@@ -45,7 +45,6 @@ def test_graph_and_in_process_engine_agree_to_the_last_bit_with_a_model(experime
             tmp_path / name,
             NoProgress(),
             in_process=name == "in-process",
-            has_figures=False,
         )
         for name in ("graph", "in-process")
     ]

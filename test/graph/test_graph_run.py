@@ -45,7 +45,7 @@ def compared(tmp_path_factory):
 
 def test_graph_and_in_process_engine_agree_to_the_last_bit(compared, tmp_path):
     experiment, here = compared.result.experiment, tmp_path / "here"
-    in_process = run_compare(experiment, here, in_process=True, has_figures=False)
+    in_process = run_compare(experiment, here, in_process=True)
     first, other = [
         (each.folder.path / "result.json").read_bytes() for each in (compared, in_process)
     ]

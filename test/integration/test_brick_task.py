@@ -15,7 +15,7 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.cli.main import main
-from hpid_ros.experiment.compare import compute, save
+from hpid_ros.experiment.compare import compute, save, save_numbers
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph_run import run_on_graph
 from hpid_ros.experiment.in_process import NoProgress, RunReport, run_without_ros, write_document
@@ -193,7 +193,8 @@ def test_the_shipped_task_puts_both_bricks_where_they_belong(tmp_path):
 def test_a_result_shows_the_path_of_the_end_effector(small_result, tmp_path):
     result, _ = small_result
     folder = ResultFolder.create(tmp_path / "result")
-    save(result, folder, [RunReport("hPID", 1.0, 2201, 1)], "in one process", has_figures=False)
+    save_numbers(result, folder, [RunReport("hPID", 1.0, 2201, 1)], "in one process")
+    save(result, folder, "in one process")
     assert '"end_effector"' in (folder.path / "report.html").read_text()
     assert "brick brick carried" in (folder.path / "table.txt").read_text()
 

@@ -108,7 +108,7 @@ def test_an_empty_graph_is_said(harness, monkeypatch, capsys):
 
 def test_certificates_of_a_result_are_verified_from_the_file(experiment_file, tmp_path, capsys):
     folder = tmp_path / "result"
-    options = ["--in-process", "--no-figures", "-o", str(folder)]
+    options = ["--in-process", "-o", str(folder)]
     assert main(["compare", str(experiment_file(duration=0.05)), *options]) == DONE
     capsys.readouterr()
     file = folder / "certificates.json"

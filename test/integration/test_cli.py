@@ -21,7 +21,7 @@ def test_in_process_comparison_needs_no_ros_prints_the_table_and_leaves_the_resu
 ):
     monkeypatch.setitem(sys.modules, "rclpy", None)  # as if it were not installed
     folder = tmp_path / "result"
-    options = ["--in-process", "--no-figures", "-o", str(folder)]
+    options = ["--in-process", "-o", str(folder)]
     assert main(["compare", str(experiment_file()), *options]) == DONE
     assert not (folder / "figures").exists()
     printed = capsys.readouterr().out
@@ -45,7 +45,7 @@ def test_both_engines_are_two_whole_comparisons_and_their_distance(
     experiment_file, tmp_path, capsys
 ):
     file, both = str(experiment_file(duration=0.1)), tmp_path / "both"
-    options = ("--in-process", "--no-figures", "--engine", "both")
+    options = ("--in-process", "--engine", "both")
     command = ["compare", file, *options, "-o", str(both)]
     assert main(command) == DONE
     printed = capsys.readouterr().out
@@ -188,7 +188,7 @@ def test_help_names_the_command_and_fits_a_terminal_of_80_columns(command, capsy
 def test_joints_without_gains_are_named(experiment_file, tmp_path, capsys):
     bare = {"joints": {"arm_joint_6": {"gains": {"p": 1.0, "d": 0.1}}}}
     file = experiment_file(duration=0.05, controllers=bare)
-    options = ["--in-process", "--no-figures", "-o", str(tmp_path / "result")]
+    options = ["--in-process", "-o", str(tmp_path / "result")]
     assert main(["compare", str(file), *options]) == DONE
     line = next(line for line in capsys.readouterr().err.splitlines() if "p, i and d" in line)
     assert "arm_joint_5: gains" in line

@@ -216,7 +216,7 @@ def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
     results = []
     for in_process in (False, True):
         folder = tmp_path / f"in_process={in_process}"
-        options = {"in_process": in_process, "has_figures": False}
+        options = {"in_process": in_process}
         results.append(compare(experiment, folder, NoProgress(), **options))
     graph, one_process = ((each.folder.path / "result.json").read_bytes() for each in results)
     assert graph == one_process

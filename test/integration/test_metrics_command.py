@@ -36,7 +36,7 @@ def result(tmp_path_factory):
         "extends: config/experiments/tracking.yaml\nname: short\nduration: 0.3\n"
         "simulation: {engine: mujoco, physics_steps: 2}\n"
     )
-    options = ["--in-process", "--no-figures", "-o", str(folder / "result")]
+    options = ["--in-process", "-o", str(folder / "result")]
     assert main(["compare", str(file), *options]) == DONE
     return folder / "result"
 

@@ -35,7 +35,7 @@ def result(tmp_path_factory):
         "extends: config/experiments/paper.yaml\nname: short\nduration: 0.3\n"
         "simulation: {engine: mujoco, physics_steps: 1}\n"
     )
-    options = ["--in-process", "--no-figures", "-o", str(folder / "result")]
+    options = ["--in-process", "-o", str(folder / "result")]
     assert main(["compare", str(file), *options]) == 0
     return folder / "result"
 
@@ -135,7 +135,7 @@ def test_what_is_no_result_with_recordings_is_one_line(own, tmp_path, capsys):
 def test_a_comparison_can_be_animated_at_once(experiment_file, tmp_path):
     require_renderer()
     folder = tmp_path / "result"
-    options = ["--in-process", "--no-figures", "--animation", "-o", str(folder)]
+    options = ["--in-process", "--animation", "-o", str(folder)]
     assert main(["compare", str(experiment_file(duration=0.05)), *options]) == 0
     assert len(list(frames(folder / "animation.webp"))) == 1
     assert "data:image/webp" in (folder / "report.html").read_text()

@@ -43,7 +43,7 @@ def bag(tmp_path_factory):
         },
     }
     (folder / "run.yaml").write_text(yaml.safe_dump(document))
-    options = ["--in-process", "--no-figures", "--output", str(folder / "result")]
+    options = ["--in-process", "--output", str(folder / "result")]
     assert main(["compare", str(folder / "run.yaml"), *options]) == 0
     return folder / "result" / "bags" / "hPID"
 

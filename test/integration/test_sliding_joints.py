@@ -69,7 +69,7 @@ def experiment(tmp_path_factory):
 def result(experiment):
     """Return the folder of a comparison."""
     folder = experiment.with_name("result")
-    options = ["--in-process", "--no-figures", "-o", str(folder)]
+    options = ["--in-process", "-o", str(folder)]
     assert main(["compare", str(experiment), *options]) == DONE
     return folder
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -24,33 +25,43 @@ from hpid_ros.cli.terminal import (
     print_result_places,
     print_runs,
 )
-from hpid_ros.experiment.compare import Compared, compare, compare_engines
-from hpid_ros.experiment.in_process import named
-from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.experiment.compare import Result, compare, compare_engines
+from hpid_ros.experiment.in_process import RunReport, named
+from hpid_ros.experiment.result_folder import reopened
+from hpid_ros.report.figures import require_formats
 from hpid_ros.report.table import ComparisonTable
+
+REPORT = "report.html"
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the comparison and print what it gave."""
+    formats = () if options.figures == ("none",) else options.figures
+    require_formats(formats)
     if options.engine == BOTH:
         if options.animation:
             raise SettingError("--animation is of one engine: hpid render takes one of both")
-        return _run_in_both(options)
+        return _run_in_both(options, formats)
     experiment = experiment_to_run(options)
     output = output_folder(options, experiment.name)
     console = output_console()
     with RunProgress(console, experiment, tuple(experiment.controllers)) as progress:
-        compared = compare(
-            experiment,
-            output,
-            progress,
+
+        def show(result: Result, reports: Sequence[RunReport]) -> None:
+            progress.finish()
+            _print(console, result, reports)
+
+        compare(
+            *(experiment, output, progress),
             in_process=options.in_process,
             force=options.force,
-            has_figures=not options.no_figures,
+            computed=show,
         )
+    print_result_places(console, {"result": output, "report": output / REPORT})
     if options.animation:
         _animate(console, output)
-    _print(console, compared)
+    if formats:
+        _draw(console, output, formats)
     return DONE
 
 
@@ -59,12 +70,19 @@ def _animate(console: Console, output: Path) -> None:
     from hpid_ros.report.film import FilmSettings, encoded
 
     film = rendered(console, output, (), FilmSettings())
-    with ResultFolder.reopen(output) as folder:
+    with reopened(output) as folder:
         folder.write(ANIMATION, encoded(film, ANIMATION[-5:]))
         save_in_report(folder, film)
 
 
-def _run_in_both(options: argparse.Namespace) -> int:
+def _draw(console: Console, result: Path, formats: Sequence[str]) -> None:
+    from hpid_ros.cli.commands.figures import FIGURES, draw_result
+
+    draw_result(console, result, formats)
+    console.print(f"{FIGURES}: {result / FIGURES}", soft_wrap=True, highlight=False)
+
+
+def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
     """Run the comparison in both engines, one after the other, and print how far they differ."""
     engines = chosen_engines(options)
     experiments = [named_experiment(options.experiment, engine) for engine in engines]
@@ -74,26 +92,29 @@ def _run_in_both(options: argparse.Namespace) -> int:
     console = output_console()
     labels = [named(label, str(engine)) for engine in engines for label in first.controllers]
     with RunProgress(console, first, labels) as progress:
+
+        def show(result: Result, reports: Sequence[RunReport]) -> None:
+            progress.finish()
+            console.print(f"\nin {result.experiment.world.engine}:")
+            _print(console, result, reports)
+            console.print()
+
         both = compare_engines(
             *(experiments, output, progress),
             in_process=options.in_process,
-            has_figures=not options.no_figures,
             force=options.force,
+            computed=show,
         )
-    for engine, compared in both.compared.items():
-        console.print(f"\nin {engine}:")
-        _print(console, compared)
-    console.print()
     for grid in both.grids:
         console.print(grid)
-    print_result_places(console, {"both": both.folder.path})
+    reports = {f"report in {engine}": output / engine / REPORT for engine in both.compared}
+    print_result_places(console, {"both": output} | reports)
+    for engine in both.compared if formats else ():
+        _draw(console, output / engine, formats)
     return DONE
 
 
-def _print(console: Console, compared: Compared) -> None:
-    result = compared.result
+def _print(console: Console, result: Result, reports: Sequence[RunReport]) -> None:
     console.print(ComparisonTable(result.comparison))
     print_notes(console, result.notes)
-    print_runs(console, compared.reports, result.experiment.duration)
-    folder = compared.folder.path
-    print_result_places(console, {"result": folder, "report": folder / "report.html"})
+    print_runs(console, reports, result.experiment.duration)

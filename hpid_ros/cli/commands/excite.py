@@ -11,7 +11,6 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.options import inertias_from, write_output
@@ -20,10 +19,9 @@ from hpid_ros.live.controllers import Controller
 from hpid_ros.live.graph_client import running_graph
 from hpid_ros.live.motion import Ending, Tell, bounds_of, carry_out, chosen
 from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan
+from hpid_ros.report.figures import require_picture
 from hpid_ros.report.table import TableColumn, WideTable
 from hpid_ros.tuning.identification_report import excitation_figure
-
-_FORMATS = (".png", ".pdf", ".svg")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -58,9 +56,7 @@ def run(options: argparse.Namespace) -> int:
 def _bag(options: argparse.Namespace) -> Path:
     """Return where to record, after what cannot be is refused."""
     if options.plot is not None:
-        if options.plot.suffix.lower() not in _FORMATS:
-            names = ", ".join(_FORMATS)
-            raise SettingError(f"--plot must end in {names}, not {options.plot.name!r}")
+        require_picture(options.plot)
         refuse_output(options.plot, force=options.force, inputs=(), option="--plot")
     return new_bag(options.output, "excitation", "-o", is_dry=options.dry_run)
 

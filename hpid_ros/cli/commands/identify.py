@@ -19,6 +19,7 @@ from hpid_ros.cli.options import (
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.measure import sliding_joints
+from hpid_ros.report.figures import require_picture
 from hpid_ros.robot.description import GivenRobot
 from hpid_ros.tuning.identification_report import (
     as_mapping,
@@ -29,7 +30,6 @@ from hpid_ros.tuning.identification_report import (
 from hpid_ros.tuning.identify import Method
 from hpid_ros.tuning.robot_identification import RobotIdentification, base_motion, identify_robot
 
-_FORMATS = (".png", ".pdf", ".svg")
 _LABEL = "recording"
 _HEADER = (
     "An experiment says extends: and this file's name, or has these lines; check-gains and",
@@ -41,8 +41,8 @@ def run(options: argparse.Namespace) -> int:
     """Identify the joints of a bag."""
     if options.effort_unit == "any" and not options.urdf:
         raise SettingError("--effort-unit any needs --urdf, whose masses fix the unit")
-    if options.plot is not None and options.plot.suffix.lower() not in _FORMATS:
-        raise SettingError(f"--plot must end in {', '.join(_FORMATS)}, not {options.plot.name!r}")
+    if options.plot is not None:
+        require_picture(options.plot)
     inputs = [options.bag, *([Path(options.urdf)] if options.urdf else [])]
     outputs = [("-o", options.output), ("--json", options.json), ("--plot", options.plot)]
     refuse_outputs(outputs, force=options.force, inputs=inputs)

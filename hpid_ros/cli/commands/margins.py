@@ -29,6 +29,7 @@ from hpid_ros.cli.terminal import output_console
 from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.messages.run import read_run
+from hpid_ros.report.figures import require_picture
 from hpid_ros.report.margins import MarginTable, margins_figure
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.stability.gain_check import Loop, check_gains
@@ -39,8 +40,6 @@ from hpid_ros.stability.measured_margins import (
     measured_joint,
     nearest_distance,
 )
-
-_FORMATS = ("png", "pdf", "svg")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -198,8 +197,7 @@ def _charts(options: argparse.Namespace, families: Mapping[str, LoopFamily]) -> 
     if options.plot is None:
         return {}
     path: Path = options.plot
-    if path.suffix.lower().removeprefix(".") not in _FORMATS:
-        raise SettingError(unknown_name("figure format", path.suffix.removeprefix("."), _FORMATS))
+    require_picture(path)
     bands = [each.settings for each in families.values() if each.is_homogeneous]
     names = [
         name

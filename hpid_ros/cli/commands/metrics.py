@@ -37,6 +37,7 @@ from hpid_ros.metrics.measure import (
 )
 from hpid_ros.metrics.quantities import ANGLE_UNITS, Gains, find_quantities
 from hpid_ros.report.export import FORMATS
+from hpid_ros.report.figures import require_formats
 from hpid_ros.report.table import ComparisonTable
 from hpid_ros.robot.description import RobotDescription
 
@@ -165,9 +166,7 @@ def _task_frame(options: argparse.Namespace) -> TaskFrame | None:
 
 def refuse_existing(options: argparse.Namespace) -> None:
     """Refuse outputs that would replace something, or that cannot be drawn, before any reading."""
-    for form in figure_formats(options):
-        if form not in ("png", "pdf", "svg"):
-            raise SettingError(unknown_name("figure format", form, ("png", "pdf", "svg")))
+    require_formats(options.formats)
     inputs = _inputs(options)
     outputs = [("--save", options.save), ("--report", options.report)]
     refuse_outputs(outputs, force=options.force, inputs=inputs)
@@ -182,11 +181,6 @@ def _inputs(options: argparse.Namespace) -> list[Path]:
     return [Path(each) for each in named if Path(each).exists()]
 
 
-def figure_formats(options: argparse.Namespace) -> list[str]:
-    """Return the formats in which figures are asked for."""
-    return [form.strip().lower() for form in options.formats.split(",") if form.strip()]
-
-
 def write_outputs(options: argparse.Namespace, found: Summary) -> list[Path]:
     """Write what was asked for."""
     written: list[Path] = []
@@ -194,12 +188,11 @@ def write_outputs(options: argparse.Namespace, found: Summary) -> list[Path]:
         if options.save is not None:
             write_file(options.save, _saved_text(found))
             written.append(options.save)
-        gains = {} if options.figures is None and options.report is None else _gains(found)
         if options.figures is not None:
-            _save_figures(options, found, gains)
+            _save_figures(options, found)
             written.append(options.figures)
         if options.report is not None:
-            write_file(options.report, _report_text(found, gains))
+            write_file(options.report, _report_text(found))
             written.append(options.report)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
@@ -207,22 +200,17 @@ def write_outputs(options: argparse.Namespace, found: Summary) -> list[Path]:
     return written
 
 
-def _save_figures(options: argparse.Namespace, found: Summary, gains: Gains) -> None:
-    from hpid_ros.report.plots import save_figures
+def _save_figures(options: argparse.Namespace, found: Summary) -> None:
+    from hpid_ros.cli.commands.figures import drawn_files, printed_figures
 
+    figures = printed_figures(found)
+    labels = [each.label for each in found.comparison.runs]
+    console = TextConsole(stderr=True)
     with ResultFolder.create(
         options.figures, force=options.force, inputs=_inputs(options), option="--figures"
     ) as folder:
-        for path in save_figures(
-            found.comparison,
-            found.series,
-            folder.path,
-            figure_formats(options),
-            repeats=found.repeats,
-            gains=gains,
-            paths=found.paths,
-        ):
-            folder.add(path.name)
+        for name, content in drawn_files(console, figures, labels, options.formats):
+            folder.write(name, content)
 
 
 def _saved_text(found: Summary) -> str:
@@ -234,7 +222,7 @@ def _saved_text(found: Summary) -> str:
     return json.dumps(document, indent=2) + "\n"
 
 
-def _report_text(found: Summary, gains: Gains) -> str:
+def _report_text(found: Summary) -> str:
     from hpid_ros.report.page import render_report
 
     provenance: dict[str, object] = {
@@ -249,12 +237,12 @@ def _report_text(found: Summary, gains: Gains) -> str:
         found.parameters,
         warnings=found.warnings,
         repeats=found.repeats,
-        gains=gains,
+        gains=gains_of(found),
         paths=found.paths,
     )
 
 
-def _gains(found: Summary) -> Gains:
+def gains_of(found: Summary) -> Gains:
     """Return what the laws did to their gains, of each run whose parameters are known."""
     gains = {}
     for run in found.series:

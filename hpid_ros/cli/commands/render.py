@@ -16,7 +16,7 @@ from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import progress, write_output
 from hpid_ros.cli.terminal import output_console, print_result_places
-from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.experiment.result_folder import ResultFolder, reopened
 from hpid_ros.report.film import (
     Film,
     FilmSettings,
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     film = rendered(console, result, options.controller, settings)
     content = encoded(film, target.suffix)
     if options.output is None or options.report:
-        with ResultFolder.reopen(result) as folder:
+        with reopened(result) as folder:
             if options.output is None:
                 folder.write(own.name, content)
             if options.report:
