@@ -354,8 +354,8 @@ class Observer:
         if vv > 0.0 and ww > 0.0:
             vw = growth * (vw_ahead - kv * xw_ahead)
             self._covariance = k, kv, kw, vv, vw, ww
-        else:  # rounding, where periods differ by many orders of magnitude
-            self._restart_covariance()
+        else:  # rounding, where periods differ by many orders of magnitude: this one's from now on
+            self._covariance = _stationary(t)
             k, kv, kw, *_ = self._covariance
         return k, kv, kw
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from harness.loops import Joint, drive, pure_loop
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
@@ -127,6 +127,7 @@ def test_at_a_constant_period_the_observers_poles_are_three_equal_ones(bandwidth
     DEGREES,
     st.floats(-6.0, 0.0),
 )
+@example(9103.5, [-0.5], 0.0, 0.0)  # a period so far beyond the nominal one, again and again
 def test_no_sequence_of_periods_and_bandwidths_makes_the_error_grow(
     bandwidth, exponents, degree, scale
 ):
