@@ -27,6 +27,7 @@ INSTALL_REQUIRES = [
     "pillow>=10.2,<14",
     "rich>=13.7,<16",
     "PyYAML>=6.0,<7",
+    "argcomplete>=3.1,<4",  # hpid completion; Ubuntu 24.04 has 3.1.4
     "joblib>=1.4,<2",  # batches over processes
     # The report's markup, every text in it escaped, and exported C; Ubuntu 24.04 has 3.1.2.
     "Jinja2>=3.1.2,<4",

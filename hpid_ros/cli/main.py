@@ -12,13 +12,20 @@ from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.base.processes import heed_interrupts, optional_libraries
 from hpid_ros.cli import arguments, robot_arguments
-from hpid_ros.cli.arguments import COMMANDS
-from hpid_ros.cli.commands import BAD_INPUT, FAILED, INTERRUPTED, UNREAD
+from hpid_ros.cli.arguments import COMMANDS, Parser
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED, UNREAD
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     args = sys.argv[1:] if args is None else list(args)
+    if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next
+        import argcomplete
+
+        argcomplete.autocomplete(_parser(list(arguments.COMMANDS)))
+    if not args:
+        print(arguments.overview(), end="")
+        return DONE
     options = _parser(args).parse_args(args)
     from hpid_ros.base.console import guarded_output
 
@@ -51,16 +58,22 @@ def _run(options: argparse.Namespace) -> int:
         return UNREAD
 
 
+class _Umbrella(argparse.ArgumentParser):
+    def format_help(self) -> str:
+        return arguments.overview()
+
+
 def _parser(args: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser for a command line, with the options of its subcommand alone."""
-    parser = argparse.ArgumentParser(
-        prog="hpid", description="Linear and homogeneous PID, joint by joint, on ROS 2."
-    )
+    """Return the parser for a command line, with the options of the subcommands in it alone."""
+    parser = _Umbrella(prog="hpid", usage="hpid COMMAND [options]")
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
-    for name, text in COMMANDS.items():
-        command = commands.add_parser(name, help=text)
-        if name in args[:1]:
+    commands = parser.add_subparsers(
+        required=True, prog="hpid", metavar="COMMAND", dest="command", parser_class=Parser
+    )
+    for name in COMMANDS:
+        command = commands.add_parser(name)
+        if name in args:
+            command.shows_all = "--help-all" in args
             function = name.replace("-", "_")
             module = arguments if hasattr(arguments, function) else robot_arguments
             getattr(module, function)(command)

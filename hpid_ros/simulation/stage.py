@@ -106,7 +106,7 @@ class Stage:
         self._scene = mujoco.MjvScene(model, _MOST_SHAPES)
         # Meshes of which some faces are the wrong way round are common.
         self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = False
-        self._context = _gl_context(self._width, self._height)
+        self._context = gl_context(self._width, self._height)
         self._context.make_current()
         self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._renderer)
@@ -232,7 +232,7 @@ def triangles_of(file: Path) -> tuple[Numbers, NDArray[np.int32]]:
     return found
 
 
-def _gl_context(width: int, height: int) -> Any:
+def gl_context(width: int, height: int) -> Any:
     """Return a context of OpenGL that needs no screen.
 
     MuJoCo chooses one when it is imported, by an environment variable; its parts do not ask.

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import subprocess
 import sys
 
@@ -152,7 +153,7 @@ def test_what_cannot_be_read_or_written_is_one_line(command, words, capsys):
 
 
 def test_usage_errors_end_with_two():
-    for arguments in ([], ["compare", "--speed"], ["metrics", "--speed"], ["dance"]):
+    for arguments in (["compare", "--speed"], ["metrics", "--speed"], ["dance"]):
         with pytest.raises(SystemExit) as end:
             main(arguments)
         assert end.value.code == BAD_INPUT
@@ -174,15 +175,55 @@ def test_a_reader_that_has_read_enough_is_no_error():
         command.communicate()
 
 
-@pytest.mark.parametrize("command", ["", *COMMANDS])
-def test_help_names_the_command_and_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_fits_a_screen_and_has_an_example(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    with pytest.raises(SystemExit) as ended:
-        main([*command.split(), "--help"])
-    assert ended.value.code == DONE
+
+    def lines_of(option):
+        with pytest.raises(SystemExit) as ended:
+            main([command, option])
+        assert ended.value.code == DONE
+        printed = capsys.readouterr().out.splitlines()
+        assert max(map(len, printed)) <= 80
+        return printed
+
+    printed = lines_of("--help")
+    assert printed[0].startswith(f"usage: hpid {command}")
+    assert "examples:" in printed
+    assert len(printed) <= 48
+    assert len(lines_of("--help-all")) >= len(printed)
+
+
+def test_hpid_alone_says_what_there_is_and_what_to_do_first(capsys):
+    assert main([]) == DONE
     printed = capsys.readouterr().out
-    assert printed.startswith(f"usage: hpid {command}".rstrip())
     assert max(map(len, printed.splitlines())) <= 80
+    assert "first:" in printed
+    assert all(f"\n  {command} " in printed for command in COMMANDS)
+    for option in ("--help", "-h"):
+        with pytest.raises(SystemExit):
+            main([option])
+        assert capsys.readouterr().out == printed
+
+
+def test_a_shell_completes_commands_and_options():
+    def completed(line):
+        environment = os.environ | {
+            **{"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))},
+            "_ARGCOMPLETE_STDOUT_FILENAME": "/dev/stdout",
+        }
+        command = [sys.executable, "-m", "hpid_ros.cli.main"]
+        return subprocess.run(command, env=environment, capture_output=True, text=True).stdout
+
+    assert {"check-gains", "compare", "completion"} == set(completed("hpid c").split())
+    assert "--realtime" in completed("hpid run --re")
+    assert "--vary" in completed("hpid sweep --v")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_printed_for_a_shell(shell, capsys):
+    assert main(["completion", shell]) == DONE
+    assert "_ARGCOMPLETE" in capsys.readouterr().out
 
 
 def test_joints_without_gains_are_named(experiment_file, tmp_path, capsys):

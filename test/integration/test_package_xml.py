@@ -18,7 +18,10 @@ pytestmark = pytest.mark.repository
 
 PACKAGE = ROOT / "package.xml"
 KEY_OF = {
-    **{name: f"python3-{name}" for name in ("jinja2", "joblib", "matplotlib", "numpy", "rich")},
+    **{
+        name: f"python3-{name}"
+        for name in ("argcomplete", "jinja2", "joblib", "matplotlib", "numpy", "rich")
+    },
     **{"scipy": "python3-scipy", "yaml": "python3-yaml", "markupsafe": "python3-jinja2"},
     "PIL": "python3-pil",
 }

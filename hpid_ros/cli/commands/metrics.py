@@ -177,7 +177,7 @@ def refuse_existing(options: argparse.Namespace) -> None:
 def _inputs(options: argparse.Namespace) -> list[Path]:
     """Return all that is read, of which nothing is replaced."""
     named = [*options.bags, *(path for _, *paths in options.group for path in paths)]
-    named += [each for each in (options.baseline, options.parameters) if each is not None]
+    named += [each for each in (options.baseline, options.params) if each is not None]
     return [Path(each) for each in named if Path(each).exists()]
 
 
@@ -272,10 +272,10 @@ def run(options: argparse.Namespace) -> int:
             names_commands=options.commands is not None,
         )
         labels = [run.label for run in found.comparison.runs]
-        if options.parameters is not None:
+        if options.params is not None:
             from hpid_ros.cli.options import parameter_file  # imports more than bags need
 
-            settings = parameter_file(options.parameters).loops.values()
+            settings = parameter_file(options.params).loops.values()
             by_joint = {each.joint: dict(each.to_parameters()) for each in settings}
             found = replace(found, parameters=dict.fromkeys(labels, by_joint))
         for line in found.warnings:

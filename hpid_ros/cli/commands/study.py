@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
             runs = len(plan.tasks()) - len(kept_records(plan, folder.path))
             with folder, run_progress(console, runs) as ended:
                 result = run_study(plan, folder, runner, ended)
-            _print(result, options.table)
+            _print(result, options.format)
     return FAILED if result.table.failures else DONE
 
 
@@ -87,7 +87,7 @@ def _merge(options: argparse.Namespace, plan: StudyPlan, console: Console) -> in
     path = output_folder(options, "study")
     with study_folder(path, force=options.force, inputs=inputs) as folder:
         save(result, folder)
-    _print(result, options.table)
+    _print(result, options.format)
     console.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
     return DONE
 
@@ -103,8 +103,8 @@ def _shipped_files() -> list[Path]:
 
 
 def _print(result: StudyResult, form: str) -> None:
-
-    if form == "text" and sys.stdout.isatty():
+    is_table = form in ("table", "text")
+    if is_table and sys.stdout.isatty():
         console = output_console()
         for grid in grids(result):
             console.print(grid)
@@ -113,4 +113,4 @@ def _print(result: StudyResult, form: str) -> None:
     elif form == "csv":
         print(runs_csv(result), end="")
     else:
-        print((grids_text if form == "text" else grids_markdown)(grids(result)), end="")
+        print((grids_text if is_table else grids_markdown)(grids(result)), end="")

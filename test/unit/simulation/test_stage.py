@@ -143,4 +143,4 @@ def test_without_opengl_one_line_says_what_to_install(stage, monkeypatch):
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     monkeypatch.setitem(__import__("sys").modules, "mujoco.osmesa", None)
     with pytest.raises(LibraryError, match="apt install libegl1"):
-        stage_module._gl_context(96, 64)
+        stage_module.gl_context(96, 64)

@@ -1,0 +1,245 @@
+"""``hpid doctor``: does this machine have what is needed, and what to do where it does not."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from rich.text import Text
+
+from hpid_ros.base.processes import OPTIONAL, raise_if_interrupted
+from hpid_ros.cli.commands import DONE, FAILED
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.experiment.processes import SHARED_MEMORY
+from hpid_ros.simulation.settings import ENGINES
+
+OK, NOTE, BAD = "ok", "note", "bad"
+"""Fine; something that not everybody needs is missing; controllers or the robot will not run."""
+_LOOKS = {OK: "green", NOTE: "yellow", BAD: "red"}
+_PYTHONS = (3, 10), (3, 13)  # the oldest, and the newest that the suite was run with
+_ROOM = 64 * 2**20  # [bytes] of shared memory for a run of eleven processes
+_FOUND_WITHIN = 1.0  # [s]
+_RUNS_WITHIN = 60.0  # [s], a program of one line
+_SETTINGS = (
+    *("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"),
+    *("ROS_DISCOVERY_SERVER", "FASTDDS_BUILTIN_TRANSPORTS", "FASTRTPS_DEFAULT_PROFILES_FILE"),
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found of one thing."""
+
+    name: str
+    state: str  # OK, NOTE or BAD
+    found: str
+    remedy: str = ""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Look at one thing after the other, and print each as soon as it is known."""
+    console = output_console()
+    findings = []
+    for look in LOOKS:
+        raise_if_interrupted()
+        findings.append(look())
+        if not options.json:
+            console.print(_line(findings[-1]), soft_wrap=True)
+    if options.json:
+        print(json.dumps([asdict(each) for each in findings], indent=2))
+    return FAILED if any(each.state == BAD for each in findings) else DONE
+
+
+def _line(finding: Finding) -> Text:
+    line = Text.assemble(
+        (f"{finding.state:5}", _LOOKS[finding.state]), f" {finding.name:13} {finding.found}"
+    )
+    return line if not finding.remedy else line.append(f"\n      -> {finding.remedy}")
+
+
+def python() -> Finding:
+    version = ".".join(map(str, sys.version_info[:3]))
+    found = f"{version} in {sys.prefix}"
+    oldest, newest = (".".join(map(str, each)) for each in _PYTHONS)
+    if not _PYTHONS[0] <= sys.version_info[:2] <= _PYTHONS[1]:
+        return Finding("Python", NOTE, found, f"known to work are {oldest} to {newest}")
+    return Finding("Python", OK, found)
+
+
+def ros() -> Finding:
+    """Whether the nodes can be imported, and whose ROS that is."""
+    spec = find_spec("rclpy")
+    if spec is None or spec.origin is None:
+        return Finding(
+            "ROS 2",
+            BAD,
+            "rclpy is not there: no nodes",
+            'source /opt/ros/jazzy/setup.bash, or without ROS: pip install "hpid_ros[ros]"',
+        )
+    place = Path(spec.origin).parent.parent
+    distribution = os.environ.get("ROS_DISTRO", "")
+    is_wheel = place.is_relative_to(sysconfig.get_path("purelib"))
+    if is_wheel and distribution:
+        return Finding(
+            "ROS 2",
+            NOTE,
+            f"wheels from PyPI in {place} hide the installed {distribution}",
+            "pip uninstall ros-jazzy-rclpy, or do not source the installation",
+        )
+    if distribution not in ("", "jazzy"):
+        return Finding("ROS 2", NOTE, f"{distribution} in {place}", "known to work is jazzy")
+    return Finding("ROS 2", OK, f"{'wheels from PyPI' if is_wheel else 'jazzy'} in {place}")
+
+
+def middleware() -> Finding:
+    asked = os.environ.get("RMW_IMPLEMENTATION", "")
+    program = "import rclpy; rclpy.init(); print(rclpy.get_rmw_implementation_identifier())"
+    done = _python(program)
+    if done.returncode:
+        return Finding(
+            "middleware",
+            BAD,
+            f"{asked or 'the default'} does not load: {_last(done.stderr)}",
+            "unset RMW_IMPLEMENTATION, or install what it names; install ROS 2 again",
+        )
+    name = done.stdout.split()[-1]
+    if not name.startswith("rmw_fastrtps"):
+        return Finding(
+            "middleware", NOTE, name, "rates and delays of docs/performance.md are of Fast DDS"
+        )
+    return Finding("middleware", OK, name)
+
+
+def discovery() -> Finding:
+    """Whether a controller in another process is found, and answers a state."""
+    given = ", ".join(f"{name}={os.environ[name]}" for name in _SETTINGS if name in os.environ)
+    if find_spec("rclpy") is None:
+        return Finding("discovery", BAD, "not tried: there is no ROS 2")
+    program = "from hpid_ros.live.discovery import time_to_answer; print(time_to_answer())"
+    done = _python(program)
+    if done.returncode:
+        return Finding("discovery", BAD, _last(done.stderr), "see ROS 2 and middleware above")
+    took = float(done.stdout.split()[-1])
+    remedy = (
+        f"{f'these settings count: {given}' if given else 'no setting of discovery is in the way'}"
+        "; a firewall must let UDP through on lo (docs/faults.md)"
+    )
+    if math.isinf(took):
+        return Finding("discovery", BAD, "two nodes did not meet", remedy)
+    found = f"a node in another process was found, and answered, within {took:.2f} s"
+    return Finding(
+        "discovery",
+        OK if took <= _FOUND_WITHIN else NOTE,
+        found,
+        "" if took <= _FOUND_WITHIN else f"that is slow; {remedy}",
+    )
+
+
+def shared_memory() -> Finding:
+    """Whether the closed runs of ``hpid compare`` have room for their messages."""
+    if not SHARED_MEMORY.is_dir() or not os.access(SHARED_MEMORY, os.W_OK):
+        return Finding(
+            "shared memory",
+            BAD,
+            f"{SHARED_MEMORY} is not there, or not writable: hpid compare and run need it",
+            "mount a tmpfs there (docker run --ipc=private --shm-size=512m)",
+        )
+    free = shutil.disk_usage(SHARED_MEMORY).free
+    found = f"{free / 2**20:.0f} MB free in {SHARED_MEMORY}"
+    if free < _ROOM:
+        remedy = "remove what fills it, or make it larger (docker run --shm-size=512m)"
+        return Finding("shared memory", BAD, found, remedy)
+    return Finding("shared memory", OK, found)
+
+
+def real_time() -> Finding:
+    """Whether ``realtime_priority`` would be granted."""
+    program = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
+    kernel = "PREEMPT_RT kernel" if "PREEMPT_RT" in os.uname().version else "ordinary kernel"
+    if _python(program).returncode:
+        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+        return Finding(
+            "real time",
+            NOTE,
+            f"SCHED_FIFO is refused (ulimit -r: {limit}), {kernel}",
+            "for a real arm: '@realtime - rtprio 98' in /etc/security/limits.d/, this user in "
+            "that group, then log in again",
+        )
+    return Finding("real time", OK, f"SCHED_FIFO is granted, {kernel}")
+
+
+def engines() -> Finding:
+    """Whether a simulated robot can be had."""
+    found, failed = [], []
+    for name in ENGINES:
+        if find_spec(name) is None:
+            failed.append(f"{name} is not installed")
+        elif (done := _python(f"import {name}")).returncode:
+            failed.append(f"{name}: {_last(done.stderr)}")
+        else:
+            found.append(name)
+    remedy = f"pip install {'mujoco' if 'mujoco' not in found else 'pybullet'}"
+    if not found:
+        return Finding("engines", BAD, "; ".join(failed) + ": no simulated robot", remedy)
+    if failed:
+        return Finding("engines", NOTE, f"{', '.join(found)}; {'; '.join(failed)}", remedy)
+    return Finding("engines", OK, ", ".join(found))
+
+
+def libraries() -> Finding:
+    asked = {name: each for name, each in OPTIONAL.items() if name not in (*ENGINES, "rclpy")}
+    missing = {name: each for name, each in asked.items() if find_spec(name) is None}
+    if not missing:
+        return Finding("libraries", OK, ", ".join(asked))
+    return Finding(
+        "libraries",
+        NOTE,
+        "without " + "; ".join(f"{name}: no {each.purpose}" for name, each in missing.items()),
+        f"pip install {' '.join(each.package for each in missing.values())}",
+    )
+
+
+def drawing() -> Finding:
+    """Whether ``hpid render`` can draw."""
+    program = "from hpid_ros.simulation.stage import gl_context; gl_context(64, 64).make_current()"
+    done = _python(program)
+    if done.returncode:
+        return Finding(
+            "OpenGL",
+            NOTE,
+            f"{_last(done.stderr)}: hpid render cannot draw",
+            "apt install libegl1 libgl1-mesa-dri (or libosmesa6)",
+        )
+    return Finding("OpenGL", OK, "hpid render can draw, no screen needed")
+
+
+LOOKS: tuple[Callable[[], Finding], ...] = (
+    *(python, ros, middleware, discovery, shared_memory, real_time, engines, libraries, drawing),
+)
+
+
+def _python(program: str) -> subprocess.CompletedProcess[str]:
+    """Run a program in an interpreter of its own, which may crash or hang."""
+    command = [sys.executable, "-c", program]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=_RUNS_WITHIN)
+    except subprocess.TimeoutExpired:
+        return subprocess.CompletedProcess(command, 1, "", f"no end within {_RUNS_WITHIN:g} s")
+
+
+def _last(text: str) -> str:
+    """Return the message of the exception that ended a program."""
+    lines = text.strip().splitlines() or [""]
+    kind, _, message = lines[-1].partition(": ")
+    return message if message and " " not in kind else lines[-1]

@@ -1,0 +1,93 @@
+"""``hpid doctor``: one line for each thing, and what to do where it is missing."""
+
+import json
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from hpid_ros.cli.commands import DONE, FAILED, doctor
+from hpid_ros.cli.main import main
+from hpid_ros.simulation.settings import ENGINES
+
+pytestmark = pytest.mark.slow
+
+
+def without(monkeypatch, *names):
+    found = doctor.find_spec
+    monkeypatch.setattr(doctor, "find_spec", lambda name: None if name in names else found(name))
+
+
+def failing(monkeypatch, message):
+    ended = subprocess.CompletedProcess([], 1, "", f"Traceback\nbase.Error: {message}\n")
+    monkeypatch.setattr(doctor, "_python", lambda program: ended)
+
+
+def test_each_thing_has_a_line_and_two_nodes_meet_within_a_second(capsys, monkeypatch):
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    code = main(["doctor", "--json"])
+    found = {each["name"]: each for each in json.loads(capsys.readouterr().out)}
+    assert len(found) == len(doctor.LOOKS)
+    assert found["discovery"]["state"] == doctor.OK, found
+    assert code == (FAILED if "bad" in {each["state"] for each in found.values()} else DONE)
+
+
+def test_what_is_printed_says_what_to_do(capsys, monkeypatch):
+    bad = doctor.Finding("engines", doctor.BAD, "none", "pip install mujoco")
+    monkeypatch.setattr(doctor, "LOOKS", (lambda: bad, doctor.python))
+    assert main(["doctor"]) == FAILED
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert first.split() == ["bad", "engines", "none"]
+    assert second.strip() == "-> pip install mujoco"
+    assert third.startswith("ok    Python")
+
+
+def test_a_python_that_is_not_known_is_noted(monkeypatch):
+    monkeypatch.setattr(doctor, "sys", SimpleNamespace(version_info=(3, 99, 1), prefix="/usr"))
+    assert doctor.python().state == doctor.NOTE
+
+
+def test_no_ros_another_one_and_two_are_told(monkeypatch):
+    monkeypatch.setenv("ROS_DISTRO", "humble")
+    assert "hide the installed humble" in doctor.ros().found
+    with monkeypatch.context() as patch:
+        without(patch, "rclpy")
+        assert doctor.ros().state == doctor.discovery().state == doctor.BAD
+        assert "hpid_ros[ros]" in doctor.ros().remedy
+
+
+def test_a_middleware_that_does_not_load_ends_nothing(monkeypatch):
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_none")
+    assert doctor.middleware().state == doctor.discovery().state == doctor.BAD
+    assert "rmw_none does not load" in doctor.middleware().found
+
+
+def test_nodes_that_may_not_find_each_other_are_told_with_the_setting(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    found = doctor.discovery()
+    assert found.state == doctor.BAD
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF" in found.remedy
+
+
+def test_shared_memory_that_is_full_or_not_there_is_told(monkeypatch, tmp_path):
+    monkeypatch.setattr(doctor, "SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(doctor, "_ROOM", 2**80)
+    assert "--shm-size" in doctor.shared_memory().remedy
+    monkeypatch.setattr(doctor, "SHARED_MEMORY", Path("/nowhere"))
+    assert doctor.shared_memory().state == doctor.BAD
+
+
+def test_what_is_missing_is_told_with_what_it_is_for(monkeypatch):
+    with monkeypatch.context() as patch:
+        without(patch, "pybullet")
+        assert doctor.engines().state == doctor.NOTE
+        without(patch, *ENGINES)
+        assert doctor.engines().state == doctor.BAD
+        without(patch, "nicegui", "lz4")
+        assert "nicegui: no the live page" in doctor.libraries().found
+    failing(monkeypatch, "no display")
+    assert doctor.drawing().found == "no display: hpid render cannot draw"
+    assert doctor.drawing().state == doctor.real_time().state == doctor.NOTE
+    assert "limits.d" in doctor.real_time().remedy
+    assert "mujoco: no display" in doctor.engines().found
