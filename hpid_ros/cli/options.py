@@ -19,7 +19,7 @@ from hpid_ros.base.files import find_resource, write_file
 from hpid_ros.base.records import Section, take_record
 from hpid_ros.base.yaml_files import load_document, load_yaml
 from hpid_ros.control.controller_files import ParameterFile, parameters_from
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
 from hpid_ros.experiment.batch import Runner, RunRecord, run_batch
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.experiment.result_folder import ResultFolder
@@ -74,6 +74,25 @@ def warn_uncontrolled(experiments: Iterable[Experiment]) -> None:
         )
 
 
+def warn_unlimited(experiment: Experiment) -> None:
+    """Warn of joints that nothing limits, neither the robot's description nor the loops."""
+    clamped = {
+        settings.joint
+        for loops in experiment.controllers.values()
+        for settings in loops
+        if settings.effort.largest < LARGEST_EFFORT
+    }
+    world = experiment.world
+    known = RobotDescription.load(world.robot_description).joints
+    unlimited = [j for j in world.joints if math.isinf(known[j].effort) and j not in clamped]
+    if unlimited:
+        print(
+            f"hpid: warning: {', '.join(unlimited)}: no effort limit, neither in the URDF nor as "
+            "u_clamp_max: a robot would not stand what this simulation does",
+            file=sys.stderr,
+        )
+
+
 def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
     """Return the experiment of a file, or the paper's if none is named."""
     return load_experiment(file or find_resource(DEFAULT_EXPERIMENT), engine)
@@ -90,6 +109,7 @@ def experiment_to_run(options: argparse.Namespace) -> Experiment:
     experiment = named_experiment(options.experiment, engine)
     require_engine(experiment.world.engine)
     warn_uncontrolled([experiment])
+    warn_unlimited(experiment)
     return experiment
 
 

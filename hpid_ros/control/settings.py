@@ -155,6 +155,11 @@ class EffortLimits(Record):
         super().__post_init__()
         _require_order("u_clamp", self.u_clamp_min, self.u_clamp_max)
 
+    @property
+    def largest(self) -> float:
+        """Largest absolute effort that may be given, either way, in [N m]."""
+        return max(self.u_clamp_max, -self.u_clamp_min)
+
     def within(self, effort: float) -> float:
         """Return the nearest effort within the limits, in [N m]."""
         return min(max(effort, self.u_clamp_min), self.u_clamp_max)

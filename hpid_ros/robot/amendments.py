@@ -206,6 +206,7 @@ class Remark(NamedTuple):
 
     names: tuple[str, ...]  # joints or links that it is about
     text: str  # what is the matter
+    is_unsafe: bool = False  # whether nothing would limit a robot that is driven by it
 
 
 def review(description: RobotDescription) -> list[Remark]:
@@ -226,7 +227,7 @@ def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterat
     for is_lacking, text in lacks:
         names = tuple(joint.name for joint in joints if is_lacking(joint))
         if names:
-            yield Remark(names, text)
+            yield Remark(names, text, is_unsafe=text.endswith("limit"))
     for limit, unit in (("effort", "N m"), ("velocity", "rad/s"), ("damping", "N m s/rad")):
         values = {joint.name: getattr(joint, limit) for joint in joints}
         if len(joints) >= _ALIKE and len(set(values.values())) == 1:

@@ -315,6 +315,25 @@ def test_priority_and_affinity_reach_every_thread_or_are_told_as_refused(harness
     assert all(os.sched_getaffinity(thread) == {cpu} for thread in threads)
 
 
+@pytest.mark.parametrize(
+    ("limit", "given", "line"),
+    [
+        ("velocity='3'", {}, "no effort limit for elbow: give it one, or set u_clamp_max"),
+        ("effort='9' velocity='0'", {}, "no velocity limit for elbow: give it one, or set vel"),
+        ("velocity='3'", {"u_clamp_max": 9.0}, "no effort limit"),  # upwards alone
+    ],
+)
+@pytest.mark.usefixtures("module_harness")  # for its domain
+def test_a_joint_that_its_description_was_to_limit_is_not_driven_without(
+    tmp_path, limit, given, line
+):
+    (tmp_path / "arm.urdf").write_text(LIFT.replace('effort="40" velocity="0.5"', limit))
+    arguments = ros_arguments(joint="elbow", robot_description=tmp_path / "arm.urdf", **given)
+    ended = run_node("joint_controller", arguments)
+    assert ended.returncode == 2
+    assert line in ended.stderr
+
+
 LIFT = """<robot name="lift"><link name="base"/><link name="car"/>
 <joint name="elbow" type="prismatic"><parent link="base"/><child link="car"/>
 <limit lower="-1" upper="2" effort="40" velocity="0.5"/></joint></robot>"""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 from harness.engines import needs_bullet
 from harness.foreign_robots import EXPERIMENTS, PANDA, box, slider
 
+from hpid_ros.base.files import find_resource
 from hpid_ros.cli.main import main
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
@@ -42,6 +44,17 @@ def test_hpid_robot_says_what_the_urdf_lacks(capsys: pytest.CaptureFixture[str])
     better = json.loads(capsys.readouterr().out)
     assert better["remarks"] == []
     assert better["joints"]["panda_joint7"]["inertia"] == pytest.approx(0.2122, rel=1e-3)
+
+
+def test_a_robot_without_limits_is_told_and_no_success(tmp_path: Path, capsys):
+    manipulator = find_resource("urdf/mobile_manipulator.urdf")
+    text = re.sub(r'effort="[^"]*"', "", manipulator.read_text(), count=1)
+    (tmp_path / "bare.urdf").write_text(text)
+    assert main(["robot", str(tmp_path / "bare.urdf"), "--poses", "1"]) == 1
+    printed = capsys.readouterr().out
+    assert "no effort limit" in printed
+    assert "before a robot is driven by it" in printed
+    assert main(["robot", str(manipulator), "--poses", "1"]) == 0
 
 
 @needs_bullet

@@ -13,7 +13,7 @@ from rich import box
 
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.base.files import refuse_output
-from hpid_ros.cli.commands import DONE
+from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import load_robot, write_output
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.report.table import WideTable
@@ -28,6 +28,7 @@ _CAPTION = (
     "pose."
 )
 _OF_SLIDES = "m and m/s, N, N s/m and kg, where joints that turn have rad, N m, kg m²"
+_UNSAFE = "Add the limits before a robot is driven by it: its controllers do not start without."
 _SHOWN = 3  # names in a remark
 
 
@@ -39,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
     robot = load_robot(options.file)
     facts = _facts(robot, options.poses)
     remarks = review(robot.description)
+    is_unsafe = any(each.is_unsafe for each in remarks)
     if options.json:
         listed = [{"names": each.names, "text": each.text} for each in remarks]
         document = {"robot": robot.description.name, "joints": facts, "remarks": listed}
@@ -54,11 +56,18 @@ def run(options: argparse.Namespace) -> int:
                 f"{_listed(slides)} {verb}: {_OF_SLIDES}", highlight=False, soft_wrap=True
             )
         for each in remarks:
-            console.print(f"{_listed(each.names)}: {each.text}", highlight=False, soft_wrap=True)
+            console.print(
+                f"{_listed(each.names)}: {each.text}",
+                style="yellow" if each.is_unsafe else "",
+                highlight=False,
+                soft_wrap=True,
+            )
+        if is_unsafe:
+            console.print(_UNSAFE, style="yellow", soft_wrap=True)
     if options.save:
         # With nothing to amend, only its meshes are named so that they are found from there.
         write_output(options.save, amended(robot.description, {}, {}, {}).xml)
-    return DONE
+    return FAILED if is_unsafe else DONE
 
 
 def _listed(names: tuple[str, ...]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -10,11 +11,12 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hpid_ros.base.errors import HpidError, MessageError
+from hpid_ros.base.errors import HpidError, MessageError, SettingError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.settings import (
+    LARGEST_EFFORT,
     LOOP_PARAMETERS,
     MODEL_PARAMETERS,
     PARAMETERS,
@@ -38,6 +40,20 @@ class RobotParameters(Record):
     )
 
 
+def _require_limits(settings: LoopSettings) -> None:
+    """Refuse a joint that its description was to limit, and does not."""
+    lacks = {
+        "effort": settings.effort.largest == LARGEST_EFFORT and "u_clamp_max and u_clamp_min",
+        "velocity": math.isinf(settings.motion.fastest) and "velocity_max",
+    }
+    for limit, parameters in lacks.items():
+        if parameters:
+            raise SettingError(
+                f"robot_description has no {limit} limit for {settings.joint}: give it one, or "
+                f"set {parameters}"
+            )
+
+
 class ControllerSettings:
     """Makes of a controller's parameters the settings of its loop, within the robot's limits."""
 
@@ -57,6 +73,8 @@ class ControllerSettings:
         values |= {each.name: each.value for each in changes if each.name in LOOP_PARAMETERS}
         if self._last is None or self._last[0] != values:  # checked first, applied afterwards
             settings = self._limits.within(LoopSettings.from_parameters(values))
+            if self.robot:
+                _require_limits(settings)
             if settings.model.is_on:
                 # Pinocchio takes a moment to import; what needs it is fixed at the start.
                 from hpid_ros.robot.compensation import with_inertia
