@@ -124,5 +124,19 @@ for (const figure of data.figures) {
   panels.classList.toggle("single", figure.panels.length < 2);
   place.append(bar, panels);
 }
+// What is folded is printed, too.
+const folded = [];
+addEventListener("beforeprint", () => {
+  folded.push(...document.querySelectorAll("details:not([open])"));
+  folded.forEach((each) => {
+    each.open = true;
+  });
+  drawAll();
+});
+addEventListener("afterprint", () => {
+  folded.splice(0).forEach((each) => {
+    each.open = false;
+  });
+});
 select(0);
 new ResizeObserver(() => drawAll()).observe(document.querySelector("main"));

@@ -144,7 +144,7 @@ def test_every_figure_has_a_place_a_caption_and_its_data(text):
     ]
     assert set(names) <= set(page.ids)
     for figure in data["figures"]:
-        assert f"<figcaption>{figure['caption']}</figcaption>" in text
+        assert f"<summary>{figure['caption']}</summary>" in text
         assert re.search(r"\[.+\]", figure["caption"]), "no unit"
 
 

@@ -109,6 +109,25 @@ def test_every_chart_is_drawn_and_the_page_never_scrolls_sideways(open_page, wid
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+def test_the_answer_is_on_the_first_screen_and_the_rest_is_folded(open_page):
+    page = open_page(800)
+    assert page.locator(".scroll").first.evaluate("box => box.scrollWidth <= box.clientWidth")
+    assert page.locator("tfoot").first.evaluate("row => row.getBoundingClientRect().bottom") < 900
+    figures = page.locator("details.figure")
+    are_open = figures.evaluate_all("all => all.map(each => each.open)")
+    assert are_open == [True, *[False] * (len(are_open) - 1)]
+    folded = figures.nth(1)
+    assert not folded.locator("canvas").first.is_visible()
+    folded.locator("summary").click()
+    folded.locator("canvas").first.wait_for(state="visible")
+    assert folded.locator("canvas").first.evaluate(INK)
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert all(figures.evaluate_all("all => all.map(each => each.open)"))
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    after = figures.evaluate_all("all => all.map(each => each.open)")
+    assert after == [True, True, *[False] * (len(after) - 2)]
+
+
 def test_a_table_wider_than_the_page_says_so_scrolls_and_shrinks_on_paper(open_page):
     page = open_page(400)
     box = page.locator(".scroll").first
@@ -165,6 +184,7 @@ def test_a_drag_zooms_all_time_charts_and_a_double_click_shows_the_whole(open_pa
 
 def test_the_keyboard_reads_values_and_zooms(open_page):
     page = open_page()
+    page.locator("#errors summary").click()
     chart = page.locator("#errors .panel").first
     canvas = chart.locator("canvas")
     whole = picture(canvas)
@@ -187,6 +207,7 @@ def test_the_keyboard_reads_values_and_zooms(open_page):
 
 def test_a_run_can_be_hidden_and_the_theme_be_chosen(open_page):
     page = open_page()
+    page.locator("#efforts summary").click()
     canvas = page.locator("#efforts canvas").first
     before = picture(canvas)
     button = page.locator("#efforts").get_by_role("button", name="hPID", exact=True)
