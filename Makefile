@@ -1,6 +1,8 @@
 # Two commands do everything on a fresh machine:
 #   make compare   set up .venv and run the paper's comparison
 #   make test      set up .venv with the test extras and run the suite
+# and one to play with:
+#   make play      the simulated robot, its controllers and the live page
 # PYTHON=python3.12 chooses the interpreter; make install sets .venv up and runs nothing.
 # What CI runs with it (.ci/run); tools/repeat_tests.sh repeats all of them:
 #   make faults    break things on purpose, and a table of what was done and what came of it
@@ -18,7 +20,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install compare test faults repository busy quick thorough bench lint docs clean
+.PHONY: install compare play test faults repository busy quick thorough bench lint docs clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -45,6 +47,13 @@ install: $(VENV)/.installed
 
 compare: $(VENV)/.installed
 	$(BIN)/hpid compare $(ARGS)
+
+$(VENV)/.live-installed: $(VENV)/.installed
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,live]"
+	touch $@
+
+play: $(VENV)/.live-installed
+	$(BIN)/hpid play $(ARGS)
 
 # Each file on one of so many processes, the long ones first; graphs have domains of their own.
 JOBS ?= 2

@@ -40,6 +40,7 @@ GROUPS = {
         "render": "draw its robot as it moved, side by side, animated",
     },
     "know and drive a robot": {
+        "play": "the simulated robot, its controllers and the page, to try",
         "robot": "joints, inertias, and what the URDF lacks",
         "excite": "move joints so that a recording tells what they are",
         "identify": "find inertia, friction, load and delay in a bag",
@@ -58,6 +59,7 @@ COMMANDS = {name: text for group in GROUPS.values() for name, text in group.item
 _NAMES = max(map(len, COMMANDS))
 _FIRST = {
     "hpid doctor": "does everything work on this machine?",
+    "hpid play": "a simulated robot to play with",
     "hpid compare": "PID against homogeneous PID, simulated",
     "hpid metrics my_bag": "how well were its joints controlled?",
     "hpid upgrade my_bag --urdf arm.urdf": "from its PID to a homogeneous one",
@@ -501,6 +503,30 @@ def render(parser: Parser) -> None:
             OpenGL but no screen
     """
     options(parser.rare(), text, size="720x450", fps=12.5, view=(-50.0, 16.0))
+
+
+def play(parser: Parser) -> None:
+    parser.describe(
+        "[FILE]",
+        "Start the simulated robot of an experiment in real time, its controllers and the live "
+        "page, in the engine's window where there is a display. Its nodes can be retuned and "
+        "watched from other terminals of this computer. Ctrl-C ends all.",
+        {
+            "hpid play": "the paper's robot",
+            "hpid play config/experiments/panda.yaml --engine mujoco": "an arm",
+        },
+        "Nodes stay on this computer unless ROS_AUTOMATIC_DISCOVERY_RANGE says otherwise.",
+    )
+    experiment_options(parser)
+    engine_options(parser)
+    text = """
+        --controller LABEL  which of its controllers (the last one)
+        --no-window  without the engine's window
+        --no-page  without the live page
+        --no-browser  print the page's address alone
+        --port N  of the page; 0 chooses a free one (8080)
+    """
+    options(parser, text, port=8080)
 
 
 def schema(parser: Parser) -> None:

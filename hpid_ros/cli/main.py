@@ -27,6 +27,11 @@ def main(args: Sequence[str] | None = None) -> int:
         print(arguments.overview(), end="")
         return DONE
     options = _parser(args).parse_args(args)
+    if options.command == "completion":
+        from argcomplete.shell_integration import shellcode
+
+        print(shellcode(["hpid"], shell=options.shell))
+        return DONE
     from hpid_ros.base.console import guarded_output
 
     heed_interrupts()

@@ -96,20 +96,20 @@ class GraphNodes:
         options, world = self._options, self._experiment.world
         settings = self._experiment.controllers[self._label]
         write_run_files(self._folder, self._experiment, settings)
-        group.start(REFERENCE, REFERENCE, _parameters(reference_file=self._experiment.path))
+        group.start(REFERENCE, REFERENCE, parameters(reference_file=self._experiment.path))
         recorder = []
         if options.is_recorded:
             kept = self._kept(settings)
-            recorder = _parameters(bag=self._bag, topics=self.topics, controllers_file=kept)
+            recorder = parameters(bag=self._bag, topics=self.topics, controllers_file=kept)
             if self._experiment.slides:
-                recorder += _parameters(slides=sorted(self._experiment.slides))
+                recorder += parameters(slides=sorted(self._experiment.slides))
         controllers = self.controller_arguments()
         bridge = self.bridge_arguments()
-        bridge += _parameters(realtime_priority=options.realtime_priority)
+        bridge += parameters(realtime_priority=options.realtime_priority)
         if self._are_messages_shared:
-            controllers += _parameters(share_messages=True)
+            controllers += parameters(share_messages=True)
         if options.processes == "single":
-            more = _parameters(record=options.is_recorded, engine=world.engine)
+            more = parameters(record=options.is_recorded, engine=world.engine)
             everything = [*controllers, *bridge, *recorder, *more]
             group.start(SINGLE, SINGLE, everything, is_renamed=False)
             return
@@ -143,7 +143,7 @@ class GraphNodes:
         """Return the ROS arguments of a controller of the run, also for one that starts late."""
         return [
             *("--params-file", str(self._folder / "controllers.yaml")),
-            *_parameters(
+            *parameters(
                 wait_for_command_subscribers=1 + self._options.is_recorded,
                 wait_for_reference=True,
                 introspection_rate=0.0,
@@ -160,7 +160,7 @@ class GraphNodes:
         controllers = 1 if self._are_messages_shared else joints
         return [
             *("--params-file", str(self._folder / "bridge.yaml")),
-            *_parameters(
+            *parameters(
                 mode="realtime" if self._options.is_realtime else "lockstep",
                 exit_when_done=False,
                 # The controllers, the recorder, and the publisher of the reference.
@@ -181,7 +181,7 @@ def require_node_names(joints: Iterable[str]) -> None:
             )
 
 
-def _parameters(**values: object) -> list[str]:
+def parameters(**values: object) -> list[str]:
     arguments = []
     for name, value in values.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
