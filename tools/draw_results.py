@@ -15,6 +15,7 @@ import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -35,18 +36,16 @@ from hpid_ros.metrics.quantities import (  # noqa: E402
     Quantity,
     find_quantities,
 )
+from hpid_ros.report.figures import INK, RUN_STYLES, RunStyle  # noqa: E402
 from hpid_ros.report.plots import SearchPoints, front_figure  # noqa: E402
 from hpid_ros.report.style import (  # noqa: E402
     DOTS_PER_INCH,
-    INK,
     MARKERS,
     WIDTH_IN,
-    RunStyle,
     add_legend,
     figure_style,
     laid_out,
     ratio_ticks,
-    run_styles,
 )
 
 BLOCK = re.compile(r"<!-- begin (?P<name>[^>]*?) -->\n(?P<body>.*?)<!-- end (?P=name) -->\n", re.S)
@@ -109,7 +108,7 @@ def ratio_figure(study: Mapping[str, Any]) -> Figure:
     labels = _labels(experiments)
     looks = {
         label: (style, MARKERS[k % len(MARKERS)])
-        for k, (label, style) in enumerate(zip(labels, run_styles(), strict=False))
+        for k, (label, style) in enumerate(zip(labels, cycle(RUN_STYLES), strict=False))
     }
     height = 2.0 * (_MARGIN_IN + _ROW_HEIGHT_IN * len(experiments))
     figure = Figure(figsize=(WIDTH_IN, height), dpi=DOTS_PER_INCH)

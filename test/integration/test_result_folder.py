@@ -67,7 +67,7 @@ def test_a_result_in_parts_is_replaced_as_a_whole(tmp_path):
                 part.write("result.json", text)
                 part.bag("PID").mkdir(parents=True)
                 write_file(part.bag("PID") / "PID.mcap", text)
-                (part.figures / f"{text}.png").write_text(text)
+                part.write(f"figures/{text}.png", text)
                 place = part.nodes("PID")
                 (place / "controllers.yaml").write_text(f"robot: {place.resolve()}/robot.urdf")
         if not is_new:
