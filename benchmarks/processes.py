@@ -16,7 +16,8 @@ from typing import Any
 
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.processes import raise_if_interrupted, uninterrupted
-from hpid_ros.experiment.processes import Beginning, end_all
+from hpid_ros.experiment.forking import Beginning
+from hpid_ros.experiment.processes import end_all
 
 ROOT = Path(__file__).resolve().parents[1]
 

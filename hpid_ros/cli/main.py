@@ -45,6 +45,10 @@ def main(args: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     try:
         with optional_libraries():
+            if options.command in ("compare", "run") and not vars(options).get("in_process"):
+                from hpid_ros.experiment.processes import warm_up
+
+                warm_up()
             module = import_module(f"hpid_ros.cli.commands.{options.command.replace('-', '_')}")
             code: int = module.run(options)
         sys.stdout.flush()

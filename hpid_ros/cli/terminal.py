@@ -88,13 +88,16 @@ class RunProgress:
         """Move a run's bar, with the rate since its first report."""
         now = time.monotonic()
         first, begun = self._begun.setdefault(label, (simulated, now))
-        figures = f"{simulated:5.2f} s"
+        figures, left = f"{simulated:5.2f} s", ""
         if now - begun > 0.2:
             factor = (simulated - first) / (now - begun)
             figures += f"  {factor / self._period:6.0f} Hz  {factor:5.2f} x real time"
+            left = f"{(self._duration - simulated) / factor:.0f} s left" if factor > 0.0 else ""
         is_done = simulated >= self._duration
         if not is_done or simulated > first:
-            self._progress.update(self._tasks[label], completed=simulated, figures=figures)
+            self._progress.update(
+                self._tasks[label], completed=simulated, figures=figures, phase=left
+            )
         if is_done:
             self._progress.update(self._tasks[label], completed=simulated, phase="")
 

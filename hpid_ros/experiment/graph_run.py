@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,7 @@ _RECORD_WITHIN = 10.0  # [s] from the last answer, or from one message more in t
 _LEAVE_WITHIN = 10.0  # [s] for all nodes to leave and to say how long they took
 _CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
 
+_PHASES = ("starting", "running", "recording", "leaving")
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
 RECORDER, REFERENCE = "bag_recorder", "trajectory_publisher"
 COMPOSED, SINGLE = "joint_controllers", "single_process"
@@ -203,28 +205,39 @@ def run_on_graph(
     interrupt, ends every process, and the recorder finishes its bag.
     """
     options = options or GraphOptions()
+    begun = [time.monotonic()]
     require_node_names(each.joint for each in experiment.controllers[label])
     nodes = GraphNodes(experiment, label, bag, folder, options)
     with (
         own_domain() as domain,
-        NodeGroup(closed_environment(domain), folder, is_batch=not options.is_realtime) as group,
+        NodeGroup(
+            closed_environment(domain), folder, is_batch=not options.is_realtime, is_forked=True
+        ) as group,
     ):
         run = _GraphRun(nodes, label, group, progress)
         run.start()
         start_within = _START_WITHIN + _START_EACH * len(group.nodes)
         run.wait_for("started", nodes.bridge, start_within, "every node to find the others")
+        begun.append(time.monotonic())
         run.wait_for("finished", nodes.bridge, None, "the last state")
+        begun.append(time.monotonic())
         if options.is_recorded:
             run.wait_until_recorded(_RECORD_WITHIN)
             # First, so that the zero efforts with which the controllers leave are not in the bag.
             group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
+        begun.append(time.monotonic())
         processes = len(group.nodes)
         group.stop(patience=_LEAVE_WITHIN)
+        begun.append(time.monotonic())
         run.take_events()  # what they said when they ended
         finished = run.events[nodes.bridge, "finished"]
         timing = run_timing(finished, run.timing)
         wall_time, states = finished["wall_time"], finished["states"]
-        return RunReport(label, wall_time, states, processes, run.warnings, timing)
+        spent = {
+            phase: round(later - earlier, 3)
+            for phase, (earlier, later) in zip(_PHASES, pairwise(begun), strict=True)
+        }
+        return RunReport(label, wall_time, states, processes, run.warnings, timing, spent)
 
 
 class _GraphRun:

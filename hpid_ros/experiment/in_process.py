@@ -193,6 +193,9 @@ class RunReport:
     processes: int  # processes that took part
     warnings: list[str] = field(default_factory=list)
     timing: Mapping[str, Any] | None = None  # see run_timing; None without nodes
+    # [s] of wall time, by phase: until all nodes have found each other, until the last state,
+    # until all of it is recorded, until all nodes are gone
+    spent: Mapping[str, float] = field(default_factory=dict)
 
     def as_mapping(self) -> dict[str, object]:
         return {**vars(self), "rate": self.rate}

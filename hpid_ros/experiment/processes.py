@@ -14,7 +14,6 @@ other is wide open; therefore the processes are looked at once they run.
 
 from __future__ import annotations
 
-import ctypes
 import fcntl
 import json
 import os
@@ -26,7 +25,6 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -34,6 +32,7 @@ from hpid_ros.base.errors import RunError
 from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.base.processes import uninterrupted
+from hpid_ros.experiment.forking import Beginning, ForkedProcess, ForkServer
 
 SHARED_MEMORY = Path("/dev/shm")
 YOUNG = 30.0  # [s]; a process that is just starting may not hold its locks yet
@@ -118,6 +117,11 @@ _OPENING = (
 _DOMAINS = range(1, 102)
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250  # of the DDSI-RTPS specification
 _SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
+
+
+def warm_up() -> None:
+    """Begin to import what the nodes of a run need, while this process imports what it does."""
+    ForkServer.of({**os.environ, **CLOSED_MODE})
 
 
 def closed_environment(domain: int) -> dict[str, str]:
@@ -207,26 +211,10 @@ def network_sockets(pid: int) -> set[str]:
     return kinds
 
 
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)
+Process = subprocess.Popen[bytes] | ForkedProcess
 
 
-@dataclass(frozen=True)
-class Beginning:
-    """What a child runs before its program, for ``preexec_fn``."""
-
-    # what the kernel sends the child when its parent is gone, however that came about
-    parting: signal.Signals
-    # schedule as batch: waking another process does not make it yield the processor
-    is_batch: bool = False
-
-    def __call__(self) -> None:
-        _LIBC.prctl(_PR_SET_PDEATHSIG, self.parting)
-        if self.is_batch:
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-
-
-def end_all(processes: Iterable[subprocess.Popen[bytes]], patience: float) -> None:
+def end_all(processes: Iterable[Process], patience: float) -> None:
     """Ask all to end with SIGTERM, then kill those that have not gone."""
     running = [process for process in processes if process.poll() is None]
     for process in running:
@@ -248,9 +236,7 @@ def module_of(executable: str) -> str:
 class NodeProcess:
     """One node in a process of its own, with a pipe for its events."""
 
-    def __init__(
-        self, name: str, process: subprocess.Popen[bytes], events: int, log: Path
-    ) -> None:
+    def __init__(self, name: str, process: Process, events: int, log: Path) -> None:
         self.name, self.process, self.events, self.log = name, process, events, log
         self.is_open = True  # whether events may still come
         self._buffer = b""
@@ -287,9 +273,10 @@ class NodeGroup(AbstractContextManager["NodeGroup"]):
         logs: Path,
         *,
         is_batch: bool = False,
+        is_forked: bool = False,
         prefix: Sequence[str] = (),
     ) -> None:
-        self._environment, self._logs = dict(environment), logs
+        self._environment, self._logs, self._is_forked = dict(environment), logs, is_forked
         self._beginning, self._prefix = Beginning(signal.SIGTERM, is_batch), prefix
         self.nodes: dict[str, NodeProcess] = {}
 
@@ -307,26 +294,37 @@ class NodeGroup(AbstractContextManager["NodeGroup"]):
         with uninterrupted(), log.open("wb") as output:
             reader, writer = os.pipe()
             os.set_blocking(reader, False)
-            command = [
-                *self._prefix,
-                *(sys.executable, "-m", module_of(executable), "--ros-args"),
+            module = module_of(executable)
+            given = [
+                "--ros-args",
                 *(("-r", f"__node:={name}") if is_renamed else ()),
                 *("-p", f"status_fd:={writer}"),
                 *arguments,
             ]
-            process = self.popen(
-                command,
-                stdin=subprocess.PIPE if has_input else subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=self._environment,
-                pass_fds=[writer],
-                start_new_session=True,
-                preexec_fn=self._beginning,
-            )
+            if self._is_forked:
+                process = self._forked(module, given, output.fileno(), writer)
+            else:
+                process = self.popen(
+                    [*self._prefix, sys.executable, "-m", module, *given],
+                    stdin=subprocess.PIPE if has_input else subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    env=self._environment,
+                    pass_fds=[writer],
+                    start_new_session=True,
+                    preexec_fn=self._beginning,
+                )
             os.close(writer)
             self.nodes[name] = node = NodeProcess(name, process, reader, log)
         return node
+
+    def _forked(self, module: str, given: Sequence[str], output: int, writer: int) -> Process:
+        with Path(os.devnull).open("rb") as nothing:
+            files = {0: nothing.fileno(), 1: output, 2: output, writer: writer}
+            server = ForkServer.of(self._environment)
+            return ForkedProcess(
+                server.fork(module, given, self._environment, self._beginning, files)
+            )
 
     def stop(self, names: Sequence[str] | None = None, patience: float = 1.5) -> None:
         """End nodes: ask all of them, then kill those that have not gone."""

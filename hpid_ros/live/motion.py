@@ -23,7 +23,7 @@ from typing import Any, Literal, NamedTuple
 import yaml
 
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
-from hpid_ros.experiment.processes import NodeGroup, NodeProcess
+from hpid_ros.experiment.processes import NodeGroup, NodeProcess, Process
 from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import seconds_since
@@ -51,7 +51,7 @@ class Button:
     def __init__(self, within: float = HELD_WITHIN) -> None:
         self.within = within
         self._lock = threading.Lock()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Process | None = None
         self._released_at: float | None = None
 
     def press(self) -> None:
@@ -79,7 +79,7 @@ class Button:
         return released_at is not None and time.monotonic() - released_at > _ENDS_WITHIN
 
     @contextmanager
-    def held_for(self, process: subprocess.Popen[bytes]) -> Iterator[None]:
+    def held_for(self, process: Process) -> Iterator[None]:
         """Tell this process while the block runs."""
         assert process.stdin is not None
         os.set_blocking(process.stdin.fileno(), False)

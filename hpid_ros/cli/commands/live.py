@@ -10,7 +10,7 @@ from importlib.util import find_spec
 
 from hpid_ros.base.errors import LibraryError
 from hpid_ros.base.processes import uninterrupted
-from hpid_ros.experiment.processes import Beginning
+from hpid_ros.experiment.forking import Beginning
 
 _ENDS_WITHIN = 10.0  # [s]
 
