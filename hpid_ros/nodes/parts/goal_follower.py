@@ -384,18 +384,19 @@ class GoalFollower:
                 violated[at] = line
         if violated:
             return self._violate(ResultCode.PATH_TOLERANCE_VIOLATED, active, violated)
+        overdue = self._overdue()
         if all(joint.has_ended for joint in self._joints):
             lines = [joint.violation(active.tolerances.goal) for joint in self._joints]
             violated = {at: line for at, line in enumerate(lines) if line}
-            if not violated:
+            # Whoever has fallen behind may see the end before it sees that a controller is gone.
+            if not violated and not overdue.reason:
                 self._active = None
                 return Outcome(Result(ResultCode.SUCCESSFUL, "goal reached"), None)
-            if active.is_late(self._now()):
+            if violated and active.is_late(self._now()):
                 return self._violate(ResultCode.GOAL_TOLERANCE_VIOLATED, active, violated)
         if stamp_ns < self._late_until_ns:
             return None
-        before, self._was_overdue = self._was_overdue, self._overdue()
-        overdue = self._was_overdue
+        before, self._was_overdue = self._was_overdue, overdue
         # Twice: where this process has fallen behind, what is missed waits to be taken.
         is_missed = bool(overdue.reason) and overdue[:2] == before[:2]
         return self._abort(overdue.reason) if is_missed else None

@@ -103,6 +103,20 @@ def test_a_reference_that_waits_while_a_newer_state_is_taken_is_not_missed():
     assert group.results[0].code is ResultCode.SUCCESSFUL
 
 
+def test_a_follower_that_has_fallen_behind_calls_no_goal_reached_whose_controller_is_gone():
+    group = started()
+    group.run(0.3)
+    group.mute = {1}
+    group.seen = lambda parts: []
+    group.run(1.0)
+    assert not group.results
+    del group.seen  # the next state is behind the goal's end, and the first that shows a silence
+    group.run(1.0, until=lambda: group.results)
+    (result,) = group.results
+    assert result.code is ResultCode.INVALID_GOAL
+    assert "the controller of elbow has published no reference for" in result.text
+
+
 def test_controllers_that_never_tell_their_references_are_taken_at_their_word():
     group = SimulatedGroup()
     group.mute = {0, 1}
