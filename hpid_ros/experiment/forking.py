@@ -121,6 +121,7 @@ class ForkServer:
 
     def _end(self) -> None:
         self._channel.close()
+        self._process.kill()  # it may still be importing, and nobody waits for that
         self._process.wait()
 
     def fork(
@@ -152,10 +153,12 @@ class ForkServer:
             content = [json.dumps(request).encode()]
             socket.send_fds(self._channel, content, list(files.values()))
             answer = self._channel.recv(64)
+        except OSError:
+            answer = b""
         finally:
             _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 0)
         if not answer:
-            raise RunError(f"{module} cannot be started: see what was printed before")
+            raise RunError(f"{module} cannot be started: what forks nodes has ended")
         return int(answer)
 
 

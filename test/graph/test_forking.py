@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from harness.graph import ros_arguments
 
+from hpid_ros.base.errors import RunError
+from hpid_ros.experiment.forking import Beginning, ForkServer
 from hpid_ros.experiment.processes import NodeGroup
 
 GONE_WITHIN = 30.0
@@ -67,6 +69,8 @@ def test_what_a_forked_node_refuses_is_its_last_line_and_its_exit_code(group):
 PROGRAM = """
 import os, sys, time
 from pathlib import Path
+from hpid_ros.base.errors import RunError
+from hpid_ros.experiment.forking import Beginning, ForkServer
 from hpid_ros.experiment.processes import NodeGroup
 group = NodeGroup(os.environ, Path(sys.argv[1]), is_forked=True)
 node = group.start("a", "joint_controller", ["-p", "joint:=a"])
@@ -88,3 +92,11 @@ def test_forked_nodes_and_their_server_end_when_their_starter_is_killed(harness,
         assert all(map(is_running, pids))
         starter.kill()
     wait_until_gone(pids)
+
+
+def test_without_its_server_no_node_is_started_and_one_line_says_so(group):
+    server = ForkServer(os.environ)
+    server._process.kill()
+    server._process.wait()
+    with pytest.raises(RunError, match="what forks nodes has ended"):
+        server.fork("hpid_ros.nodes.joint_controller", [], {}, Beginning(signal.SIGTERM), {})
