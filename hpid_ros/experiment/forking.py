@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 
 from hpid_ros.base.errors import RunError
 
-_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
+_PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_CHILD_SUBREAPER = 1, 15, 36
 _LIBC = ctypes.CDLL(None)
 _ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM)
 _LARGEST = 1 << 18  # [byte], of a request
@@ -192,6 +192,8 @@ def _serve(channel: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
 def _become(request: Mapping[str, Any], files: Sequence[int]) -> None:
     """Make this process what a new interpreter would have been."""
     os.setsid()
+    # What ps and pgrep call it; the command line stays the server's.
+    _LIBC.prctl(_PR_SET_NAME, request["module"].rpartition(".")[2].encode())
     for number in _ENDING:  # as exec leaves them: ignored ones stay so
         is_ignored = int(number) in request["ignored"]
         usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL

@@ -4,6 +4,7 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -148,7 +149,7 @@ def test_a_button_that_was_released_before_there_is_a_process_is_gone_at_once(pi
 def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
     order = bench.order("held")
     began = wait_for_rest(bench.harness)
-    motion = HeldMotion(*order, within=1.5)
+    motion = HeldMotion(*order, within=3.0)
     bench.reach(motion, lambda: motion.stage == "ready")
     assert np.ptp(positions(bench.harness)) < 1e-3  # nobody has pressed
     assert motion.ending is None
@@ -167,9 +168,14 @@ def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
     # Whoever holds the button is killed.
     file = bench.folder / "order"
     file.write_bytes(pickle.dumps(bench.order("killed")))
-    hold_until_killed(file, 1.0)
+    bench.harness.seen.clear()
+    holding = threading.Thread(target=hold_until_killed, args=(file, 1.0))
+    holding.start()
+    bench.harness.wait(lambda: not holding.is_alive(), what="the button's holder")
     bench.harness.wait(lambda: not bench.harness.is_there("hpid_exciter"), what="its end")
-    assert abs(wait_for_rest(bench.harness) - rests) > 0.005
+    # By little, where the first motion ended near a stop of the joint.
+    assert np.ptp([each.position[0] for each in bench.harness.seen]) > 1e-4
+    wait_for_rest(bench.harness)
 
 
 def test_a_press_cannot_move_a_stopped_joint(bench):

@@ -249,7 +249,7 @@ def recorder_below(parent):
     for path in Path("/proc").glob("[0-9]*"):
         try:
             is_child = int((path / "stat").read_text().rpartition(")")[2].split()[1]) == parent
-            if is_child and "bag_recorder" in (path / "cmdline").read_text():
+            if is_child and (path / "comm").read_text() == "bag_recorder\n":
                 return int(path.name)
         except (FileNotFoundError, ProcessLookupError):
             continue
