@@ -231,7 +231,7 @@ def test_a_server_that_stands_still_leaves_the_joints_on_their_way_to_rest(joint
 
 
 def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(joints):
-    joints.start(state_timeout=1.0)
+    joints.start(state_timeout=0.5)
     client = Client(joints)
     handle = client.send(slowly())
     joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
