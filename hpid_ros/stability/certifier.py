@@ -18,6 +18,8 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.control.settings import LoopSettings
 
 _REMEMBERED = 1000  # loops, the oldest are forgotten
+_SEARCH = [sys.executable, "-m", "hpid_ros.stability.certifier"]
+_LAST = 19  # nice: beside running loops, the search takes what they leave
 
 
 class Finding(NamedTuple):
@@ -28,13 +30,16 @@ class Finding(NamedTuple):
 
 
 class Certifier:
-    """Certifies settings in a child process of least priority, one after the other.
+    """Certifies settings in a child process, one after the other.
 
-    What does not depend on the degree is remembered: a new degree is judged at once. A
-    computation that cannot be begun or has been killed is a finding like another: it never raises.
+    Its priority is the least, so that running loops lose nothing: on a machine that is loaded
+    fully its seconds become minutes. Who waits for it has ordinary priority. What does not depend
+    on the degree is remembered: a new degree is judged at once. A computation that cannot be begun
+    or has been killed is a finding like another: it never raises.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, niceness: int = _LAST) -> None:
+        self._niceness = niceness
         self._known: dict[Hashable, tuple[float, float] | str] = {}
         self._child: subprocess.Popen[str] | None = None
         self._child_of: Hashable = None
@@ -73,10 +78,12 @@ class Certifier:
 
     def wait(self, settings: LoopSettings) -> Finding:
         """Find out now, however long it takes: for a loop that has not begun."""
+        niceness, self._niceness = self._niceness, 0
         self.want(settings)
         while self._child is not None:
             self._child.wait()
             self.poll()
+        self._niceness = niceness
         return self.finding(settings)
 
     def close(self) -> None:
@@ -93,7 +100,7 @@ class Certifier:
         try:
             self._child = subprocess.Popen(
                 # nice from outside: its imports, too, come after the loop.
-                ["nice", "-n", "19", sys.executable, "-m", "hpid_ros.stability.certifier"],
+                ["nice", "-n", str(self._niceness), *_SEARCH],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

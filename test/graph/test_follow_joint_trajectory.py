@@ -30,8 +30,8 @@ pytestmark = needs_control_msgs
 THERE = {"shoulder": [0.4, 1.0], "elbow": [-0.2, -0.5]}
 TIMES = [0.75, 1.5]
 SLOPES = {"shoulder": [0.8, 0.0], "elbow": [-0.4, 0.0]}
-SLOW = [1.5, 3.0]
-HALF = {name: [0.5 * each for each in slopes] for name, slopes in SLOPES.items()}
+SLOW = [3.0, 6.0]
+QUARTER = {name: [0.25 * each for each in slopes] for name, slopes in SLOPES.items()}
 INVALID_GOAL, INVALID_JOINTS = -1, -2
 
 
@@ -45,7 +45,7 @@ def there():
 
 
 def slowly():
-    return goal_of(THERE, SLOW, HALF)
+    return goal_of(THERE, SLOW, QUARTER)
 
 
 def steps(joints, joint, since=0.0):

@@ -24,6 +24,7 @@ def failing(monkeypatch, message):
     monkeypatch.setattr(doctor, "_python", lambda program: ended)
 
 
+@pytest.mark.alone  # discovery is looked at by the clock of the wall
 def test_each_thing_has_a_line_and_two_nodes_meet_within_a_second(capsys, monkeypatch):
     monkeypatch.delenv("ROS_DISTRO", raising=False)
     code = main(["doctor", "--json"])

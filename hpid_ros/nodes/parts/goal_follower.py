@@ -67,6 +67,7 @@ class _Overdue(NamedTuple):
     joint: str = ""
     newest_ns: int | None = None  # stamp of the newest one
     reason: str = ""
+    timeout_ns: int = 0  # [ns] how old it may be
 
 
 class _Joint:
@@ -270,7 +271,7 @@ class GoalFollower:
     def allow_late(self, stood: float) -> None:
         """Note that this process stood still: what came meanwhile comes late, and not in order.
 
-        Until states and references had time to come, none of them is missed. The first state that
+        Until a state or a reference had its time to come, it is not missed. The first state that
         comes may still be one from before.
         """
         self._late_by = max(stood, self._late_by)
@@ -285,9 +286,7 @@ class GoalFollower:
             return None
         self._silence = 0.0
         if self._late_by:
-            fixed = self.settings.fixed
-            patience = max(fixed.state_timeout, fixed.reference_timeout)
-            self._late_until_ns = stamp_ns + round((self._late_by + patience) * NANOSECONDS)
+            self._late_until_ns = stamp_ns + round(self._late_by * NANOSECONDS)
             self._late_by = 0.0
         if self._is_hold_due:
             return self._hold()
@@ -348,13 +347,14 @@ class GoalFollower:
 
     def _lacking_state(self) -> _Overdue:
         """Return which joint has no state, or an old one."""
+        timeout_ns = round(self.settings.fixed.state_timeout * NANOSECONDS)
         for joint in self._joints:
             if joint.stamp_ns is None or self.now_ns is None:
                 return _Overdue(joint.name, None, f"there is no state of {joint.name} yet")
-            age = (self.now_ns - joint.stamp_ns) / NANOSECONDS
-            if age > self.settings.fixed.state_timeout:
-                line = f"{joint.name} has had no state for {age:.3g} s"
-                return _Overdue(joint.name, joint.stamp_ns, line)
+            age_ns = self.now_ns - joint.stamp_ns
+            if age_ns > timeout_ns:
+                line = f"{joint.name} has had no state for {age_ns / NANOSECONDS:.3g} s"
+                return _Overdue(joint.name, joint.stamp_ns, line, timeout_ns)
         return _Overdue()
 
     def _overdue(self) -> _Overdue:
@@ -370,7 +370,7 @@ class GoalFollower:
             if age_ns > timeout_ns:
                 age = age_ns / NANOSECONDS
                 line = f"the controller of {joint.name} has published no reference for {age:.3g} s"
-                return _Overdue(joint.name, joint.reference_ns, line)
+                return _Overdue(joint.name, joint.reference_ns, line, timeout_ns)
         return _Overdue()
 
     def _look(self, active: _ActiveGoal, stamp_ns: int, taken: Sequence[int]) -> Outcome | None:
@@ -394,7 +394,7 @@ class GoalFollower:
                 return Outcome(Result(ResultCode.SUCCESSFUL, "goal reached"), None)
             if violated and active.is_late(self._now()):
                 return self._violate(ResultCode.GOAL_TOLERANCE_VIOLATED, active, violated)
-        if stamp_ns < self._late_until_ns:
+        if stamp_ns < self._late_until_ns + overdue.timeout_ns:
             return None
         before, self._was_overdue = self._was_overdue, overdue
         # Twice: where this process has fallen behind, what is missed waits to be taken.

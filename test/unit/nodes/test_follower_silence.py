@@ -195,3 +195,18 @@ def test_what_came_while_nobody_called_is_not_missed_but_what_stays_away_is(
     group.mute = dead
     group.run(4.0, until=lambda: group.results)
     assert group.results[0].code is code
+
+
+def test_the_excuse_of_one_that_stood_still_is_no_longer_than_what_is_missed_takes():
+    """However patient it is with states: a controller that has died is still seen."""
+    group = SimulatedGroup(state_timeout=3.0)
+    group.run(0.2)
+    far = {name: [0.0, path[-1]] for name, path in THERE.items()}
+    group.begin(goal(far, [0.0, 5.0], at_rest(far)))
+    group.run(0.5)
+    group.follower.allow_late(0.7)
+    group.mute = {1}
+    since_ns = group.stamp_ns
+    group.run(4.0, until=lambda: group.results)
+    assert group.results[0].code is ResultCode.INVALID_GOAL
+    assert group.stamp_ns - since_ns <= 1.2 * SECOND + 10 * MS
