@@ -90,7 +90,9 @@ class GraphNodes:
         is_single = options.processes == "single"
         self._executable = bridge_name(experiment.world)
         self.bridge = SINGLE if is_single else self._executable
-        self.recorder = SINGLE if is_single else RECORDER
+        # In real time a disk that blocks must not hold the robot up.
+        self._is_apart = options.is_recorded and options.is_realtime and not is_single
+        self.recorder = RECORDER if self._is_apart else self.bridge
         self.vital = frozenset({self.bridge, self.recorder, REFERENCE})
 
     def start(self, group: NodeGroup) -> None:
@@ -107,22 +109,23 @@ class GraphNodes:
                 recorder += parameters(slides=sorted(self._experiment.slides))
         controllers = self.controller_arguments()
         bridge = self.bridge_arguments()
+        if self._is_apart:
+            group.start(RECORDER, RECORDER, recorder)
+        elif options.is_recorded:
+            bridge += [*recorder, *parameters(record=True)]
         bridge += parameters(realtime_priority=options.realtime_priority)
         if self._are_messages_shared:
             controllers += parameters(share_messages=True)
         if options.processes == "single":
-            more = parameters(record=options.is_recorded, engine=world.engine)
-            everything = [*controllers, *bridge, *recorder, *more]
+            everything = [*controllers, *bridge, *parameters(engine=world.engine)]
             group.start(SINGLE, SINGLE, everything, is_renamed=False)
             return
-        if options.is_recorded:
-            group.start(RECORDER, RECORDER, recorder)
         if options.processes == "composed":
             group.start(COMPOSED, COMPOSED, controllers, is_renamed=False)
         else:
             for each in settings:
                 group.start(controller_name(each.joint), "joint_controller", controllers)
-        group.start(self._executable, self._executable, bridge)
+        group.start(self._executable, self._executable, bridge, is_renamed=False)
 
     def _kept(self, settings: Sequence[LoopSettings]) -> Path:
         """Write the parameters that the bag keeps: with all that is given on the command line."""
@@ -146,7 +149,7 @@ class GraphNodes:
         return [
             *("--params-file", str(self._folder / "controllers.yaml")),
             *parameters(
-                wait_for_command_subscribers=1 + self._options.is_recorded,
+                wait_for_command_subscribers=1 + self._is_apart,
                 wait_for_reference=True,
                 introspection_rate=0.0,
                 certify=False,
@@ -165,8 +168,8 @@ class GraphNodes:
             *parameters(
                 mode="realtime" if self._options.is_realtime else "lockstep",
                 exit_when_done=False,
-                # The controllers, the recorder, and the publisher of the reference.
-                wait_for_subscribers=controllers + self._options.is_recorded + 1,
+                # The controllers, a recorder apart, and the publisher of the reference.
+                wait_for_subscribers=controllers + self._is_apart + 1,
                 wait_for_publishers=controllers,
                 report_rate=REPORT_RATE if task_topics(self._experiment.world) else 0.0,
             ),

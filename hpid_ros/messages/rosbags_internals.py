@@ -37,7 +37,10 @@ KNOWN_VERSIONS = "0.11"
 CHUNK_SPAN_NS = 500_000_000
 """Longest log time that one chunk may cover, in [ns]: what a crash can cost."""
 
+_MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode, length, channel, sequence, log time and publish time of a message record."""
 _CHECKSUM = struct.Struct("<I")
+_LARGE = 2**20  # [bytes]
 _CHECKSUM_OFFSET = 9 + 3 * 8
 """After opcode, length, first and last log time and size of a chunk record (MCAP, version 0)."""
 
@@ -45,7 +48,7 @@ _OF_STORAGE = (
     *("bio", "chunk", "chunks", "channel_stats"),
     *("message_start_time", "message_end_time", "path"),
 )
-_OF_CHUNK = ("bio", "message_start_time", "msgs")
+_OF_CHUNK = ("bio", "message_start_time", "message_end_time", "msgs")
 _OF_WRITER = ("storage", "counts", "min_timestamp", "max_timestamp")
 
 
@@ -58,8 +61,8 @@ class FlushingMcapWriter(McapWriter):
     finished with all chunks before it.
 
     Uses ``bio`` (the open file), ``chunk`` (the one being filled, a ``PendingChunk``), ``chunks``
-    (the index of those in the file), ``close_chunk``, which ``McapWriter.write`` calls too,
-    ``channel_stats`` (messages by channel) and the first and last log time.
+    (the index of those in the file), ``close_chunk``, ``channel_stats`` (messages by channel) and
+    the first and last log time.
     """
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
@@ -69,10 +72,21 @@ class FlushingMcapWriter(McapWriter):
         self._times_on_disk = (self.message_start_time, self.message_end_time)
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message; its chunk goes to disk when it is large or old enough."""
-        super().write(connection, timestamp, data)
-        # A fresh chunk's start lies in the far future, so this is false right after closing one.
-        if timestamp - self.chunk.message_start_time >= CHUNK_SPAN_NS:
+        """Append one message; its chunk goes to disk when it is large or old enough.
+
+        As ``McapWriter.write``, which takes three times as long over it.
+        """
+        chunk, channel = self.chunk, connection.id
+        self.message_start_time = min(timestamp, self.message_start_time)
+        self.message_end_time = max(timestamp, self.message_end_time)
+        chunk.message_start_time = min(timestamp, chunk.message_start_time)
+        chunk.message_end_time = max(timestamp, chunk.message_end_time)
+        self.channel_stats[channel] += 1
+        chunk.msgs[channel].append((timestamp, chunk.bio.tell()))
+        length = _MESSAGE.size - 9 + len(data)  # what follows opcode and length
+        chunk.bio.write(_MESSAGE.pack(5, length, channel, 0, timestamp, timestamp))
+        chunk.bio.write(data)
+        if chunk.bio.tell() > _LARGE or timestamp - chunk.message_start_time >= CHUNK_SPAN_NS:
             self.close_chunk()
 
     def flush(self) -> None:

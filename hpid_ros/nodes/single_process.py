@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes import joint_controllers
-from hpid_ros.nodes.bag_recorder import BagRecorder
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.parameters import read
-from hpid_ros.nodes.parts.bridge import RobotBridge
+from hpid_ros.nodes.parts import bridge
 from hpid_ros.simulation.settings import ENGINES, default_engine
 
 
@@ -20,26 +19,25 @@ from hpid_ros.simulation.settings import ENGINES, default_engine
 class ProcessParameters(Record):
     """What else runs in this process."""
 
-    record: bool = quantity(
-        "Run bag_recorder in this process too, with its parameters", default=False
-    )
     engine: str = quantity(
         f"Of the bridge: {', '.join(ENGINES)}", default=ENGINES[0], choices=ENGINES
     )
 
 
 def make_nodes() -> list[executor.ClosingNode]:
-    """Make the bridge, one controller for each joint of ``joint_controllers``, and a recorder."""
+    """Make the bridge, one controller for each joint of ``joint_controllers``, and a recorder.
+
+    Nodes are closed in this order.
+    """
     process = executor.ClosingNode("single_process")
     asked = read(process, ProcessParameters, engine=default_engine())
-    nodes = [process, RobotBridge(asked.engine), *joint_controllers.make_nodes()]
-    # The last to be closed: it keeps what the others still say.
-    return [*nodes, BagRecorder()] if asked.record else nodes
+    robot, *recorder = bridge.make_nodes(asked.engine)
+    return [process, robot, *joint_controllers.make_nodes(), *recorder]
 
 
 USAGE = Usage(
     "single_process",
-    "Runs a bridge and joint_controllers in one process, with record also bag_recorder; "
+    "Runs a bridge and joint_controllers in one process; "
     "their --help tells their parameters, topics and services.",
     "--params-file FILE",
     names_of(ProcessParameters),

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from harness.bag_reader import BagReader
 from harness.graph import ros_arguments
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.errors import BagError
@@ -30,7 +31,7 @@ from hpid_ros.messages.storage import (
 )
 from hpid_ros.messages.writer import BagWriter, repair_bag
 from hpid_ros.metrics.folding import quality_lines
-from hpid_ros.nodes.core.middleware import LATCHED
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
 from hpid_ros.report.blocks import Paragraph, data_quality
 
 MS = 1_000_000
@@ -261,3 +262,30 @@ def test_a_recorder_whose_folder_is_gone_stops_acknowledging_and_fails(
     assert events.recorded() == 1
     assert "is gone" in recorder.last_words()
     faults.count("recorder's folder deleted: told, and ended with 1")
+
+
+def test_a_bridge_that_records_has_every_state_and_ends_when_its_bag_is_gone(harness, tmp_path):
+    """Its recorder subscribes to neither states nor commands."""
+    arguments = ros_arguments(
+        bag=tmp_path / "bag",
+        record=True,
+        topics="[joint_commands, joint_states]",
+        robot_description="urdf/mobile_manipulator.urdf",
+        mode="realtime",
+    )
+    start = harness.processes.start
+    bridge = start("bridge", "mujoco_bridge", arguments, is_renamed=False)
+    commands = harness.node.create_publisher(JointState, "joint_commands", OFFERED)
+    events = Events(bridge)
+    harness.wait(lambda: events.recorded() > 10, what="recorded states")
+    assert not harness.subscribes("bag_recorder", "/joint_states")
+    harness.wait(commands.get_subscription_count, what="the bridge")
+    commands.publish(state(0))
+    harness.wait(lambda: events.last("recorded")["counts"]["/joint_commands"], what="a command")
+    acknowledged = events.recorded()
+    (tmp_path / "bag").rename(tmp_path / "kept")
+    harness.wait(lambda: bridge.process.poll() is not None, what="the bridge to end")
+    assert bridge.process.returncode == 1
+    saved = repair_bag(tmp_path / "kept", tmp_path / "repaired").saved
+    assert saved["/joint_commands"] == 1
+    assert saved["/joint_states"] >= acknowledged

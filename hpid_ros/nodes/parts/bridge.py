@@ -39,6 +39,7 @@ from hpid_ros.nodes.parts.bridge_services import (
     WrenchParameters,
     offer_standard_services,
 )
+from hpid_ros.nodes.parts.recorder import BagRecorder
 from hpid_ros.robot.amendments import RobotSection
 from hpid_ros.simulation.lockstep import AnswerCounts, Barrier
 from hpid_ros.simulation.world import World
@@ -192,6 +193,17 @@ class WaitingParameters(Record):
 
 
 @dataclass(frozen=True)
+class RecordParameters(Record):
+    """Whether the run is recorded in this process."""
+
+    record: bool = quantity(
+        "Run bag_recorder in this process, with its parameters; states and commands come to it "
+        "without a subscription",
+        default=False,
+    )
+
+
+@dataclass(frozen=True)
 class FrameParameters(Record):
     """How frames are called."""
 
@@ -249,7 +261,9 @@ class RobotBridge(executor.ClosingNode):
         self._states = self.create_publisher(
             JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
         )
-        subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
+        taken = subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
+        self._topics = self._states.topic_name, taken.topic_name
+        self.recorder = BagRecorder(self._topics) if read(self, RecordParameters).record else None
         prefix = read(self, FrameParameters).frame_prefix
         self._reports = BridgeReports(self, self._world, prefix, pace.end_ns)
         self._simulation = BridgeServices(self, self._world, prefix, self._reset, self._resume)
@@ -268,11 +282,13 @@ class RobotBridge(executor.ClosingNode):
         self._scheduling = schedule(self)
 
     def _start_when_ready(self) -> None:
+        has_recorder = self.recorder is None or self.recorder.is_recording
         listeners = self._states.get_subscription_count()
         commanders = self.count_publishers("joint_commands")
         if (
             listeners < self._waiting.wait_for_subscribers
             or commanders < self._waiting.wait_for_publishers
+            or not has_recorder
         ):
             now_ns = time.perf_counter_ns()
             if now_ns - self._progressed_ns > NANOSECONDS:
@@ -281,7 +297,7 @@ class RobotBridge(executor.ClosingNode):
                 self.get_logger().info(
                     f"waiting: {listeners} of {self._waiting.wait_for_subscribers} subscribers of "
                     f"the states, {commanders} of {self._waiting.wait_for_publishers} publishers "
-                    "of commands",
+                    f"of commands{'' if has_recorder else ', the recorder of its topics'}",
                     throttle_duration_sec=5.0,
                 )
             return
@@ -297,6 +313,8 @@ class RobotBridge(executor.ClosingNode):
             steady_timer(self, period / self._pace.real_time_factor, self._resume)
 
     def _on_command(self, raw: bytes) -> None:
+        if self.recorder is not None:
+            self.recorder.keep(self._topics[1], raw)
         try:
             stamp_ns, names, efforts = self._reader.read(raw)
         except MessageError as error:
@@ -339,19 +357,24 @@ class RobotBridge(executor.ClosingNode):
         )
         self._timing.published()
         self._commanders.move()
-        self._states.publish(self._last_state)
+        self._send_state()
         self._reports.sample(stamp_ns, positions)
         self._asked_again = False
         if self._timing.published_ns - self._progressed_ns > _PROGRESS_PERIOD_NS:
             self._progressed_ns = self._timing.published_ns
             self._status.send("progress", stamp_ns=stamp_ns, silent=self._barrier.silent)
 
+    def _send_state(self) -> None:
+        self._states.publish(self._last_state)
+        if self.recorder is not None:  # while the controllers compute
+            self.recorder.keep(self._topics[0], self._last_state)
+
     def _watch(self) -> None:
         """Ask again when an answer is late, and go on without it when it is too late."""
         waited = (time.perf_counter_ns() - self._timing.published_ns) / NANOSECONDS
         timeout = self._answer_timeout
         if self._barrier.is_abandoned:  # somebody may come back, and needs a state to answer
-            self._states.publish(self._last_state)
+            self._send_state()
         if not self._barrier.missing or self._is_done:
             return
         if waited > _LAST_LOOK * timeout:
@@ -362,7 +385,7 @@ class RobotBridge(executor.ClosingNode):
                 self._resume()
         elif waited > timeout / 2.0 and not self._asked_again:
             self._asked_again = True
-            self._states.publish(self._last_state)
+            self._send_state()
 
     def _reset(self) -> None:
         self._world.reset()
@@ -435,9 +458,22 @@ def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
 
 RECORDS: tuple[type[Record], ...] = (
     *(WorldFileParameters, WorldParameters, PaceParameters, WaitingParameters),
-    *(ReportParameters, FrameParameters, WrenchParameters, Scheduling, StatusParameters),
+    *(
+        RecordParameters,
+        ReportParameters,
+        FrameParameters,
+        WrenchParameters,
+        Scheduling,
+        StatusParameters,
+    ),
 )
 """What a bridge's parameters are declared by, but for those laid over the file."""
+
+
+def make_nodes(engine: str) -> list[executor.ClosingNode]:
+    """Make a bridge and, if it is asked for, the recorder in its process."""
+    bridge = RobotBridge(engine)
+    return [bridge] if bridge.recorder is None else [bridge, bridge.recorder]
 
 
 def usage(name: str, engine: str) -> Usage:
