@@ -35,43 +35,49 @@ NOTHING = DurationSpread(0, 0.0, 0.0, 0.0)
 """Of no durations at all."""
 
 
+_EDGES = np.ceil(10.0 ** (_DECADES[0] + np.arange(1, _BINS) / _BINS_PER_DECADE)).astype(np.int64)
+
+
 class Durations:
-    """Durations of one kind."""
+    """Durations of one kind: medians and percentiles to within one percent."""
 
     def __init__(self) -> None:
         self._fresh = array("q")
-        self._histogram: NDArray[np.int64] = np.zeros(_BINS, dtype=np.int64)
+        self._whole: NDArray[np.int64] = np.zeros(_BINS, dtype=np.int64)
         self._maximum = 0
         self.note = self._fresh.append
 
     def recent(self) -> DurationSpread:
-        """Return the spread of what was noted since the last call, and add it to the whole."""
+        """Return the spread of what was noted since the last call, and add it to the whole.
+
+        With few calls of numpy: a node does this between two samples.
+        """
         values = np.array(self._fresh, dtype=np.int64)
         # Emptied in place: the hot path holds its append.
         del self._fresh[:]
         if not values.size:
             return NOTHING
-        self._maximum = max(self._maximum, int(values.max()))
-        np.add.at(self._histogram, _bins(values), 1)
-        median, p99 = np.percentile(values, (50.0, 99.0)) / _MICROSECOND
-        return DurationSpread(values.size, float(median), float(p99), values.max() / _MICROSECOND)
+        histogram = np.bincount(_EDGES.searchsorted(values, "right"), minlength=_BINS)
+        self._whole += histogram
+        maximum = int(values.max())
+        self._maximum = max(self._maximum, maximum)
+        return _spread(histogram, maximum)
 
     def whole(self) -> DurationSpread:
-        """Return the spread of everything ever noted, median and p99 to within one percent."""
+        """Return the spread of everything ever noted."""
         self.recent()
-        cumulated = np.cumsum(self._histogram)
-        count = int(cumulated[-1])
-        if not count:
-            return NOTHING
-        ranks = np.searchsorted(cumulated, [0.5 * count, 0.99 * count])
-        median, p99 = 10.0 ** (_DECADES[0] + (ranks + 0.5) / _BINS_PER_DECADE) / _MICROSECOND
-        largest = self._maximum / _MICROSECOND
-        return DurationSpread(
-            count, min(float(median), largest), min(float(p99), largest), largest
-        )
+        return _spread(self._whole, self._maximum)
 
 
-def _bins(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the histogram's bin of each duration."""
-    places = (np.log10(np.maximum(values, 1)) - _DECADES[0]) * _BINS_PER_DECADE
-    return np.clip(places.astype(np.int64), 0, _BINS - 1)
+def _spread(histogram: NDArray[np.int64], maximum: int) -> DurationSpread:
+    cumulated = histogram.cumsum()
+    count = int(cumulated[-1])
+    if not count:
+        return NOTHING
+    largest = maximum / _MICROSECOND
+    ranks = cumulated.searchsorted((0.5 * count, 0.99 * count)).tolist()
+    median, p99 = (
+        min(10.0 ** (_DECADES[0] + (rank + 0.5) / _BINS_PER_DECADE) / _MICROSECOND, largest)
+        for rank in ranks
+    )
+    return DurationSpread(count, median, p99, largest)
