@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import ResultExistsError, SettingError
+from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.report.table import UNLIMITED_WIDTH, WideTable
 
 if TYPE_CHECKING:
@@ -100,6 +109,23 @@ class RunProgress:
             )
         if is_done:
             self._progress.update(self._tasks[label], completed=simulated, phase="")
+
+
+@contextmanager
+def reading() -> Iterator[Callable[[str, float], None]]:
+    """Show on a terminal what is being read, how far it is and how long it will take."""
+    console = TextConsole(stderr=True)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as progress:
+        task = progress.add_task("", total=1.0)
+
+        def tell(what: str, share: float) -> None:
+            raise_if_interrupted()
+            progress.update(task, description=what, completed=share)
+
+        yield tell
 
 
 def print_notes(console: Console, notes: Sequence[str]) -> None:

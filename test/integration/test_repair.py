@@ -221,7 +221,7 @@ def test_a_full_disk_or_a_read_only_folder_ends_a_run_in_one_line(
     faults.count("runs on a full or read-only disk, ended in one line")
 
 
-def test_a_run_whose_recorder_is_killed_leaves_a_bag_that_can_be_measured(
+def test_a_run_whose_bridge_is_killed_with_its_recorder_leaves_a_bag_that_can_be_measured(
     experiment_file, tmp_path
 ):
     folder = tmp_path / "result"
@@ -235,7 +235,7 @@ def test_a_run_whose_recorder_is_killed_leaves_a_bag_that_can_be_measured(
 
     try:
         wait_for(lambda: size() > 300_000, 60.0)
-        os.kill(recorder_below(run.pid), signal.SIGKILL)
+        os.kill(bridge_below(run.pid), signal.SIGKILL)
         assert run.wait(timeout=30) == 1
     finally:
         run.kill()
@@ -245,15 +245,15 @@ def test_a_run_whose_recorder_is_killed_leaves_a_bag_that_can_be_measured(
     assert main(["metrics", str(bag.with_name(f"{bag.name}_repaired"))]) == 0
 
 
-def recorder_below(parent):
+def bridge_below(parent):
     for path in Path("/proc").glob("[0-9]*"):
         try:
             is_child = int((path / "stat").read_text().rpartition(")")[2].split()[1]) == parent
-            if is_child and (path / "comm").read_text() == "bag_recorder\n":
+            if is_child and (path / "comm").read_text().endswith("_bridge\n"):
                 return int(path.name)
         except (FileNotFoundError, ProcessLookupError):
             continue
-    raise AssertionError("no recorder")
+    raise AssertionError("no bridge")
 
 
 def wait_for(condition, within):

@@ -5,18 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from functools import partial
 from pathlib import Path
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import find_resource, refuse_outputs
-from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.commands.metrics import bag_selection
 from hpid_ros.cli.options import (
     load_robot,
     write_output,
 )
-from hpid_ros.cli.terminal import output_console
+from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.measure import sliding_joints
 from hpid_ros.report.figures import require_picture
@@ -63,9 +63,9 @@ def _identified(options: argparse.Namespace, robot: GivenRobot | None) -> RobotI
     # Other joints' motion counts where the robot is known, whichever are asked for.
     asked = options.joint or None
     selection = bag_selection(options, None if robot else asked, separates_runs=True)
-    recording = read_run(
-        options.bag, _LABEL, selection=selection, progress=lambda share: raise_if_interrupted()
-    )
+    with reading() as tell:
+        told = partial(tell, options.bag.name)
+        recording = read_run(options.bag, _LABEL, selection=selection, progress=told)
     recording = recording.with_slides(
         sliding_joints(options.bag, None, selection.namespace).slides
     )

@@ -6,13 +6,13 @@ import argparse
 import json
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from hpid_ros import __version__
 from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.files import refuse_outputs
-from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
     joint_progress,
@@ -25,7 +25,7 @@ from hpid_ros.cli.options import (
     sliding_joints,
     write_output,
 )
-from hpid_ros.cli.terminal import output_console
+from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.messages.run import read_run
@@ -175,9 +175,9 @@ def _measured(
                 f"--bag: the effort of {joint!r} is the model's and other joints', too: with "
                 f"decoupling it is not the loop's, and cannot be compared"
             )
-    run = read_run(
-        options.bag, "bag", joints=list(loops), progress=lambda share: raise_if_interrupted()
-    )
+    with reading() as tell:
+        told = partial(tell, options.bag.name)
+        run = read_run(options.bag, "bag", joints=list(loops), progress=told)
     found, reasons = {}, []
     for series in run.joints:
         period = loops[series.joint].timing.control_period

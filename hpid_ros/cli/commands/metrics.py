@@ -7,13 +7,10 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hpid_ros import __version__
 from hpid_ros.base.console import TextConsole
@@ -21,7 +18,7 @@ from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.files import find_resource, refuse_outputs, write_file
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.terminal import output_console
+from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.result_folder import ResultFolder, check_place, versions
 from hpid_ros.messages.selection import BagSelection, Reference, parse_command_topics
@@ -262,7 +259,7 @@ def run(options: argparse.Namespace) -> int:
     find_quantities(indices)
     refuse_existing(options)
     sources, how = sources_of(options), measuring(options)
-    with _progress() as tell:
+    with reading() as tell:
         found = summary(
             measure_all(sources, how, tell=tell),
             baseline=None if is_path(options.baseline) else options.baseline,
@@ -311,16 +308,3 @@ def _print(options: argparse.Namespace, found: Summary) -> None:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(f"cannot write the output: {reason}") from None
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    """Show on a terminal what is being read, how far it is and how long it will take."""
-    console = TextConsole(stderr=True)
-    if not console.is_terminal:
-        yield lambda what, share: None
-        return
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("", total=1.0)
-        yield lambda what, share: progress.update(task, description=what, completed=share)

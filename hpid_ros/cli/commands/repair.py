@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
-from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.cli.commands import DONE
+from hpid_ros.cli.terminal import reading
 from hpid_ros.messages.writer import repair_bag
 
 
@@ -15,7 +16,8 @@ def run(options: argparse.Namespace) -> int:
     """Repair a bag and say what came of it."""
     bag: Path = options.bag
     target = options.output or bag.resolve().with_name(f"{bag.resolve().stem}_repaired")
-    repair = repair_bag(bag, target, lambda share: raise_if_interrupted())
+    with reading() as tell:
+        repair = repair_bag(bag, target, partial(tell, bag.name))
     for name, count in sorted(repair.saved.items()):
         print(f"saved: {count} messages on {name}")
     if repair.span_ns is not None:

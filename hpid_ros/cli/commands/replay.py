@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 from hpid_ros.base.console import TextConsole
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import joint_progress
-from hpid_ros.cli.terminal import output_console
+from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.tuning.recorded_loops import read_records
 from hpid_ros.tuning.replay import Difference, JointVerdict, replay_joint
@@ -22,13 +23,11 @@ def run(options: argparse.Namespace) -> int:
     selection = BagSelection(
         namespace=options.namespace, states=options.states or None, commands=options.commands
     )
-    records, unreadable = read_records(
-        options.bag,
-        options.params,
-        options.joint or None,
-        selection,
-        lambda share: raise_if_interrupted(),
-    )
+    with reading() as tell:
+        told = partial(tell, options.bag.name)
+        records, unreadable = read_records(
+            options.bag, options.params, options.joint or None, selection, told
+        )
     verdicts = []
     with joint_progress(TextConsole(stderr=True), "computed anew", len(records)) as progress:
         for record in records:
