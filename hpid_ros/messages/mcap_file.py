@@ -204,6 +204,8 @@ def walk(records: bytes, at: int, catalogue: Catalogue, starts: list[int]) -> in
 
 _BATCH_BYTES = 4 << 20
 """Bytes of messages in no chunk that are looked at together."""
+_TOGETHER = 1 << 20
+"""Bytes of chunks that are looked at together: a recorder that writes often makes small ones."""
 
 _HEAD = struct.Struct("<QQQII")  # times, length, checksum, length of the compression's name
 _STORED = struct.Struct("<Q")
@@ -211,11 +213,27 @@ _BEFORE = 7  # bytes gathered before a record, so that its length becomes one al
 
 
 class Records(NamedTuple):
-    """Records of one chunk, or of none."""
+    """Records of chunks, or of none."""
 
     content: bytes
-    starts: list[int]  # where its messages begin
+    starts: list[int]  # where their messages begin
     end: int  # where they end in the file
+
+
+def _together(each: Iterable[Records]) -> Iterator[Records]:
+    """Yield the records of small chunks at once."""
+    parts: list[bytes] = []
+    starts: list[int] = []
+    size = end = 0
+    for records in each:
+        if size and size + len(records.content) > _TOGETHER:
+            yield Records(b"".join(parts), starts, end)
+            parts, starts, size = [], [], 0
+        parts.append(records.content)
+        starts += [size + start for start in records.starts] if size else records.starts
+        size, end = size + len(records.content), records.end
+    if parts:
+        yield Records(b"".join(parts), starts, end)
 
 
 _FOOTER_FIELDS = 20
@@ -298,7 +316,7 @@ class McapFile:
             return not channels or not numbers.isdisjoint(channels)
 
         place, found = 0, dict.fromkeys(sorted(topics), 0)
-        for records in self._records(is_wanted, report):
+        for records in _together(self._records(is_wanted, report)):
             if records.starts:
                 for batch in self._by_topic(records, found, place):
                     found[batch.topic] += len(batch.starts)
