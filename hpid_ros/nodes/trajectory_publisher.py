@@ -1,8 +1,9 @@
 """Publishes one reference trajectory, latched, for every controller that is or comes.
 
-A trajectory of stamp 0 starts with the next state, which would be another one for a controller
-that is restarted in the middle. So the publisher listens to the states until the motion has
-begun and then latches it once more with the stamp at which it began: those that follow it keep
+Where states come already, it carries the stamp at which it begins, the same one for all. Before
+the first state it has stamp 0 and starts with that one, which would be another one for a
+controller that is restarted in the middle. So the publisher listens to the states until the motion
+has begun and then latches it once more with the stamp at which it began: those that follow it keep
 their reference to the last bit, and those that come later carry on where the others are.
 """
 
@@ -25,8 +26,12 @@ from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import LATCHED, NEWEST_STATES, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
+from hpid_ros.nodes.parts.goals import LEAD_NS
 from hpid_ros.nodes.parts.references import to_message
 from hpid_ros.robot.description import RobotDescription
+
+_LOOK_PERIOD = 0.02  # [s]
+_LOOKS = 4  # for a state, once there is a publisher of states
 
 
 @dataclass(frozen=True)
@@ -57,18 +62,46 @@ class TrajectoryPublisher(executor.ClosingNode):
                 lambda name: RobotDescription.load(find_resource(name, document.folders)),
             )
         self._trajectory = trajectory
+        self._newest_ns: int | None = None
         self._start_ns: int | None = None
-        self._is_under_way = False
+        self._looks_left = _LOOKS
+        self._is_published = self._is_under_way = False
         self._publisher = self.create_publisher(
             JointTrajectoryMessage, "joint_trajectory", LATCHED
         )
-        self._publisher.publish(to_message(trajectory))
         self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
         self._status = StatusPipe(self)
+        self._look = steady_timer(self, _LOOK_PERIOD, self._publish_when_states_are_heard)
+
+    def _publish_when_states_are_heard(self) -> None:
+        """Publish once the states' publisher is known, so that the first of them is not missed."""
+        if not self._states.get_publisher_count():
+            self.get_logger().info(
+                f"waiting for a publisher of {self._states.topic_name}",
+                throttle_duration_sec=5.0,
+                skip_first=True,
+            )
+            return
+        self._looks_left -= 1
+        if self._newest_ns is None and self._looks_left:
+            return
+        self._look.cancel()
+        self._is_published = True
+        if self._newest_ns is None:
+            self._publisher.publish(to_message(self._trajectory))
+        else:
+            self._begin(self._newest_ns + LEAD_NS)
+        points, joints = len(self._trajectory.points), len(self._trajectory.joint_names)
+        self.get_logger().info(f"published {points} points for {joints} joints")
         self._status.send("published")
-        self.get_logger().info(
-            f"published {len(trajectory.points)} points for {len(trajectory.joint_names)} joints"
-        )
+
+    def _begin(self, start_ns: int) -> None:
+        """Publish when the motion begins, and listen no more."""
+        self._is_under_way = True
+        self._publisher.publish(to_message(self._trajectory.started(start_ns)))
+        self._status.send("under way", start_ns=start_ns)
+        # Not from its own callback; what paces the robot has one subscriber less to serve.
+        self._leaving = steady_timer(self, 0.0, self._leave_states)
 
     def _on_state(self, raw: bytes) -> None:
         """Wait for the first point of the motion, then publish when it began."""
@@ -79,15 +112,14 @@ class TrajectoryPublisher(executor.ClosingNode):
         except MessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
+        self._newest_ns = stamp_ns
+        if not self._is_published:
+            return
         if self._start_ns is None or stamp_ns < self._start_ns:
             self._start_ns = stamp_ns
         if stamp_ns < self._start_ns + self._trajectory.points[0].time_from_start_ns:
             return
-        self._is_under_way = True
-        self._publisher.publish(to_message(self._trajectory.started(self._start_ns)))
-        self._status.send("under way", start_ns=self._start_ns)
-        # Not from its own callback; what paces the robot has one subscriber less to serve.
-        self._leaving = steady_timer(self, 0.0, self._leave_states)
+        self._begin(self._start_ns)
 
     def _leave_states(self) -> None:
         self._leaving.cancel()

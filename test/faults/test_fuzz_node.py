@@ -51,8 +51,9 @@ def test_ten_thousand_messages_and_the_node_is_as_it_was(harness, faults):
     assert all(int(figures[kind]) > 50 for kind in kinds)
     assert figures["last fault"] != "none"
     assert figures["last irregular state"] != "none"
+    # The count may be told before the test has taken the answers, one at a time.
+    harness.wait(lambda: len(harness.commands) > 0.1 * MESSAGES, what="the answers")
     efforts = np.array([command.effort[0] for command in harness.commands])
-    assert len(efforts) > 0.1 * MESSAGES  # a busy machine drops more
     assert np.all((efforts >= -15.0) & (efforts <= 20.0))
     assert process.poll() is None
     # Back to normal by itself: a clock that goes back starts the loop anew, exactly.

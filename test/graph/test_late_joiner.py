@@ -1,5 +1,7 @@
 """A controller that comes late carries on with the motion, and nobody else notices."""
 
+import itertools
+
 import pytest
 from harness.graph import ros_arguments
 from harness.trajectories import from_message
@@ -86,3 +88,29 @@ def test_the_publisher_latches_the_start_once_the_motion_has_begun(harness, tmp_
     harness.wait(lambda: late, what="the latched trajectory")
     assert from_message(late[0]) == motion.started(start_ns)
     assert len(received) == 2
+
+
+def test_where_states_come_already_all_are_told_the_same_start(harness, tmp_path):
+    """Not each its own: that of the state that it had when the trajectory came."""
+    file = tmp_path / "motion.yaml"
+    file.write_text(
+        "reference: {kind: minimum_jerk, times: [0.0, 2.0], positions: {elbow: [0.0, 1.0]}}"
+    )
+    received, template, count = [], JointStateTemplate(["elbow"], position=True), itertools.count()
+    harness.node.create_subscription(
+        JointTrajectoryMessage, "joint_trajectory", received.append, LATCHED
+    )
+    harness.processes.start(
+        "reference", "trajectory_publisher", ros_arguments(reference_file=file)
+    )
+
+    def is_received():
+        harness.states.publish(template.encode(next(count) * MS, position=[0.0]))
+        return received
+
+    harness.wait(is_received, what="the trajectory")
+    (told,) = map(from_message, received)
+    assert told.stamp_ns > 50 * MS
+    assert told == minimum_jerk([0.0, 2.0], {"elbow": [0.0, 1.0]}).started(told.stamp_ns)
+    harness.wait(lambda: harness.states.get_subscription_count() == 0, what="it to leave")
+    assert len(received) == 1

@@ -16,7 +16,7 @@ def run(file, folder, *options):
     return main(["run", str(file), "-o", str(folder), "--controller", "hPID", *options])
 
 
-@pytest.mark.parametrize(("option", "processes"), [("--composed", 4), ("--single-process", 2)])
+@pytest.mark.parametrize(("option", "processes"), [("--composed", 3), ("--single-process", 2)])
 def test_processes_change_nothing_of_the_numbers(
     experiment_file, tmp_path, capsys, option, processes
 ):
