@@ -93,7 +93,16 @@ def all_groups(quick: bool) -> list[Group]:
         ImportError: A library that the benchmarks need is not installed.
     """
     try:
-        from benchmarks import compensation, engine, laws, loops, reading, recording, waiting
+        from benchmarks import (
+            answers,
+            compensation,
+            engine,
+            laws,
+            loops,
+            reading,
+            recording,
+            waiting,
+        )
     except ImportError as error:
         raise ImportError(f"{error}; make bench installs what the benchmarks need") from error
     return [
@@ -104,6 +113,7 @@ def all_groups(quick: bool) -> list[Group]:
         reading.group(quick),
         *loops.groups(quick),
         waiting.group(quick),
+        answers.group(quick),
     ]
 
 
