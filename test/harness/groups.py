@@ -77,6 +77,7 @@ class SimulatedGroup:
         self.position, self.velocity = [0.0] * len(joints), [0.0] * len(joints)
         self.stamp_ns = start_ns
         self.blocked, self.deaf, self.mute = set(), set(), set()
+        self.is_behind = False  # whether more waits to be taken than the states
         self.results, self.told = [], []
         self.log = [[] for _ in joints]
         self._draw, self._most = random.Random(seed), most_delay
@@ -140,6 +141,8 @@ class SimulatedGroup:
                 if joint not in self.mute:
                     reference = loop.reference[0]
                     self.note(self.follower.take_reference(joint, self.stamp_ns, reference))
+        if self.follower.misses and not self.is_behind:
+            self.note(self.follower.confirm())
 
     def seen(self, parts):
         """Return what the follower sees of a state; to be replaced."""

@@ -21,9 +21,10 @@ URDF = f"""<robot name="turntable">
 GAINS = {"gains__p": 21.6, "gains__i": 86.0, "gains__d": 1.8}
 
 
-def start_turntable(harness, folder, mode="realtime", **more):
+def start_turntable(harness, folder, mode="realtime", pace=1.0, **more):
     """Start the robot and its controller, with more parameters, and wait until they run.
 
+    At a ``pace`` below 1 a busy machine may keep whoever answers waiting that much longer.
     In ``lockstep`` it waits for a controller that is late, as on a busy machine, and the
     controller for a robot that is; at 1 kHz, so that it hardly outruns the clock of the wall, by
     which others judge whether anybody is silent.
@@ -39,7 +40,7 @@ def start_turntable(harness, folder, mode="realtime", **more):
         ALL_COMMANDS,
         raw=True,
     )
-    if mode == "lockstep":
+    if mode == "lockstep" or pace != 1.0:
         more = {"state_clock": "simulated", "state_watchdog": False, **more}
     of_controller = {"joint": "turn", "law": "pid", "robot_description": urdf, **GAINS, **more}
     harness.processes.start(
@@ -48,10 +49,11 @@ def start_turntable(harness, folder, mode="realtime", **more):
         ros_arguments(control_period=1.0 / rate, state_timeout=1.0, **of_controller),
     )
     of_bridge = {"robot_description": urdf, "fixed_base": True, "control_rate": rate}
+    of_bridge |= {"mode": mode, "real_time_factor": pace}
     harness.processes.start(
         "bridge",
         "mujoco_bridge",
-        ros_arguments(mode=mode, physics_steps=steps, wait_for_subscribers=2, **of_bridge),
+        ros_arguments(physics_steps=steps, wait_for_subscribers=2, **of_bridge),
     )
     harness.wait(lambda: len(harness.seen) > 10 and harness.commands, what="the robot")
 

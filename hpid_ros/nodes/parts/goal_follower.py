@@ -196,7 +196,7 @@ class GoalFollower:
         self._late_by = 0.0  # [s]; 0 while nothing is to be excused
         self._has_published = self._is_hold_due = False
         self._late_until_ns = 0
-        self._was_overdue = _Overdue()
+        self._missed = _Overdue()
 
     @property
     def is_active(self) -> bool:
@@ -396,9 +396,24 @@ class GoalFollower:
                 return self._violate(ResultCode.GOAL_TOLERANCE_VIOLATED, active, violated)
         if stamp_ns < self._late_until_ns + overdue.timeout_ns:
             return None
-        before, self._was_overdue = self._was_overdue, overdue
-        # Twice: where this process has fallen behind, what is missed waits to be taken.
-        is_missed = bool(overdue.reason) and overdue[:2] == before[:2]
+        if not self.misses:
+            self._missed = overdue
+        return None
+
+    @property
+    def misses(self) -> bool:
+        """Whether something seems to be overdue: :meth:`confirm` is to be called.
+
+        Where this process has fallen behind it may have come already: so not before all is taken
+        that waits now.
+        """
+        return bool(self._missed.reason)
+
+    def confirm(self) -> Outcome | None:
+        """End the active goal if what was missed has not come meanwhile."""
+        missed, self._missed = self._missed, _Overdue()
+        overdue = self._overdue() if self._active is not None else _Overdue()
+        is_missed = bool(overdue.reason) and overdue[:2] == missed[:2]
         return self._abort(overdue.reason) if is_missed else None
 
     def _violate(

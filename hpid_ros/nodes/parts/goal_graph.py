@@ -132,7 +132,10 @@ class GroupTopics:
             self._refuse(f"state refused: {error}")
             return
         if parts:
+            missed = self._follower.misses
             self._act(self._follower.take_state(stamp_ns, parts))
+            if self._follower.misses and not missed:  # the executor's queue is first in, first out
+                self._node.hand_over(lambda: self._act(self._follower.confirm()))
 
     def _on_reference(self, joint: int, reader: JointReader, raw: bytes) -> None:
         self._wake()

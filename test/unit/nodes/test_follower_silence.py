@@ -91,14 +91,15 @@ def test_a_controller_that_tells_its_reference_no_more_aborts_the_goal():
     group.begin(moving())
 
 
-def test_a_reference_that_waits_while_a_newer_state_is_taken_is_not_missed():
+def test_references_that_wait_while_newer_states_are_taken_are_not_missed():
     group = started()
     group.run(0.3)
-    group.mute = {0, 1}
-    group.run(0.501)
+    group.mute, group.is_behind = {0, 1}, True
+    group.run(0.6)
+    assert group.follower.misses
     for joint, loop in enumerate(group.loops):
         group.note(group.follower.take_reference(joint, group.stamp_ns, loop.reference[0]))
-    group.mute = set()
+    group.mute, group.is_behind = set(), False
     group.run(3.0, until=lambda: group.results)
     assert group.results[0].code is ResultCode.SUCCESSFUL
 
