@@ -28,7 +28,7 @@ from hpid_ros.experiment.in_process import (
     write_run_files,
 )
 from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder, versions
-from hpid_ros.messages.messages import read_planar, read_poses, read_statuses, read_vectors
+from hpid_ros.messages.messages import BagMessages
 from hpid_ros.messages.reports import POSE
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries
@@ -77,14 +77,14 @@ _log = logging.getLogger(__name__)
 
 
 def _base_figures(
-    world: WorldSettings, base: DifferentialDrive, bag: Path, run: RunSeries
+    world: WorldSettings, base: DifferentialDrive, bag: BagMessages, run: RunSeries
 ) -> BaseFigures:
-    odometry, truth = read_planar(bag, ODOM), read_planar(bag, TRUTH)
+    odometry, truth = bag.planar(ODOM), bag.planar(TRUTH)
     # Each state's messages come together; of a bag that was cut off one may lack its last.
     stamps_ns, at_odometry, at_truth = np.intersect1d(
         odometry.stamps_ns, truth.stamps_ns, assume_unique=True, return_indices=True
     )
-    _, slips = read_vectors(bag, SLIP)
+    _, slips = bag.vectors(SLIP)
     left, right, lateral = slips[-1].tolist()
     return base_figures(
         odometry.poses[at_odometry],
@@ -110,14 +110,13 @@ def _reference_poses(
     return poses[np.clip(np.searchsorted(states_ns, stamps_ns), 0, len(states_ns) - 1)]
 
 
-def brick_figures(experiment: Experiment, bag: Path) -> tuple[BrickFigures, ...]:
+def brick_figures(experiment: Experiment, bag: BagMessages) -> tuple[BrickFigures, ...]:
     """Return what became of each brick.
 
     What the gripper did is on ``grip_events``; where the bricks lie at the end is the last
     message on ``brick_poses``.
     """
-    events = read_statuses(bag, GRIP_EVENTS)
-    poses = read_poses(bag, BRICK_POSES)
+    events, poses = bag.statuses(GRIP_EVENTS), bag.poses(BRICK_POSES)
     goals = {goal.name: goal for goal in experiment.plan.goals} if experiment.plan else {}
     figures = []
     for index, brick in enumerate(experiment.world.workplace.bricks):
@@ -236,6 +235,9 @@ class Result:
         }
 
 
+_TOPICS = (ODOM, TRUTH, SLIP, END_EFFECTOR, GRIP_EVENTS, BRICK_POSES)
+
+
 def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
     how = Measuring(
         BagSelection(joints=experiment.world.joints), description=experiment.description
@@ -249,13 +251,12 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
     world, frame = experiment.world, _frame(experiment)
     base, end_effectors, bricks, paths = {}, {}, {}, []
     for run in runs:
-        bag = bags[run.label]
+        bag = BagMessages(bags[run.label], *_TOPICS)
         if world.base is not None:
             base[run.label] = _base_figures(world, world.base, bag, run)
         if frame is not None:
             end_effector = EndEffector(frame, run)
-            truth = read_poses(bag, END_EFFECTOR, POSE)
-            end_effectors[run.label] = end_effector.figures(truth)
+            end_effectors[run.label] = end_effector.figures(bag.poses(END_EFFECTOR, POSE))
             paths.append(end_effector.path(_PATH_POINTS))
         if world.workplace.bricks:
             bricks[run.label] = brick_figures(experiment, bag)

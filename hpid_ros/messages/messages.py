@@ -5,7 +5,7 @@ For topics of a few messages; what comes a thousand times a second is read as co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from hpid_ros.messages.reports import (
     decode_parameter_event,
     decode_text,
 )
-from hpid_ros.messages.selection import find_topic
+from hpid_ros.messages.selection import find_topic, matching
 from hpid_ros.messages.storage import Storage
 from hpid_ros.messages.writer import jazzy_types
 
@@ -36,67 +36,11 @@ def stamp_ns_of(message: Any) -> int:
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
-def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
-    """Return the messages on a topic in the order of the log; none where it is not there."""
-    deserialize = jazzy_types().deserialize_cdr
-    with Storage(bag) as storage:
-        where = f"bag {storage.path}"
-        known = {name: info.type for name, info in storage.topics().items()}
-        if not any(name.rpartition("/")[2] == topic.rpartition("/")[2] for name in known):
-            return []
-        name = find_topic(where, topic, known, (kind,))
-        found = []
-        for batch in storage.batches(frozenset({name})):
-            for raw in batch.raws():
-                try:
-                    found.append(deserialize(raw, kind))
-                # rosbags lets whatever its generated code trips over escape.
-                except Exception as error:
-                    line = f"{where}: a message on {name} is no {kind}: {error!r}"
-                    raise BagError(line) from error
-    return found
-
-
 class PlanarColumns(NamedTuple):
     """Poses of a base in the plane, as one topic has them."""
 
     stamps_ns: NDArray[np.int64]  # [ns] ascending, (N,)
     poses: Numbers  # x [m], y [m], heading [rad] (not wrapped), (N, 3)
-
-
-def odometry_topics(bag: Path) -> list[str]:
-    """Return the names of a bag's topics of odometry."""
-    with Storage(bag) as storage:
-        return [name for name, info in storage.topics().items() if info.type == ODOMETRY]
-
-
-def read_planar(bag: Path, topic: str) -> PlanarColumns:
-    """Return the poses of an odometry topic in the plane."""
-
-    def row(message: Any) -> tuple[float, float, float]:
-        p, q = message.pose.pose.position, message.pose.pose.orientation
-        heading = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
-        return p.x, p.y, float(heading)
-
-    stamps_ns, poses = _rows(bag, topic, ODOMETRY, row)
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    return PlanarColumns(stamps_ns, poses)
-
-
-def read_vectors(bag: Path, topic: str) -> tuple[NDArray[np.int64], Numbers]:
-    """Return stamps in [ns], (N,), and x, y, z, (N, 3), of a topic of stamped vectors."""
-    return _rows(bag, topic, VECTOR, lambda each: (each.vector.x, each.vector.y, each.vector.z))
-
-
-def _rows(
-    bag: Path, topic: str, kind: str, row: Callable[[Any], Sequence[float]]
-) -> tuple[NDArray[np.int64], Numbers]:
-    """Return stamps, ascending, and a row of numbers for each; of one stamp the last stands."""
-    rows = {stamp_ns_of(message): row(message) for message in messages_on(bag, topic, kind)}
-    if not rows:
-        raise BagError(f"bag {bag}: no message on {topic}")
-    stamps = sorted(rows)
-    return np.array(stamps, dtype=np.int64), np.array([rows[stamp] for stamp in stamps])
 
 
 class PoseColumns(NamedTuple):
@@ -107,34 +51,105 @@ class PoseColumns(NamedTuple):
     orientations: Numbers  # quaternions x, y, z, w, (N, K, 4)
 
 
-def read_poses(bag: Path, topic: str, kind: str = POSES) -> PoseColumns | None:
-    """Return the poses of a topic; None where there is no such topic or nothing on it."""
-    rows: dict[int, Numbers] = {}
-    for message in messages_on(bag, topic, kind):
-        poses = message.poses if kind == POSES else [message.pose]
-        rows[stamp_ns_of(message)] = np.array([_numbers(pose) for pose in poses]).reshape(-1, 7)
-    if not rows:
-        return None
-    stamps = sorted(rows)
-    if len({len(row) for row in rows.values()}) > 1:
-        raise BagError(f"bag {bag}: the number of poses on {topic} changes")
-    whole = np.array([rows[stamp] for stamp in stamps])
-    return PoseColumns(np.array(stamps, dtype=np.int64), whole[..., :3], whole[..., 3:])
+class BagMessages:
+    """The messages of a bag's topics, each read when it is asked for, some read together."""
 
+    def __init__(self, bag: Path, *together: str) -> None:
+        self._bag, self._where = bag, f"bag {bag}"
+        with Storage(bag) as storage:
+            self._known = {name: info.type for name, info in storage.topics().items()}
+        self._raws: dict[str, list[bytes]] = {}
+        self._read({name for topic in together for name in matching(topic, self._known)})
 
-def read_statuses(bag: Path, topic: str) -> list[Status]:
-    """Return what a topic of diagnostics says, in the order of the log; nothing without it."""
-    return [
-        Status(
-            stamp_ns_of(message),
-            int(status.level),
-            status.name,
-            status.message,
-            {pair.key: pair.value for pair in status.values},
+    def _read(self, names: Collection[str]) -> None:
+        self._raws |= {name: [] for name in names}
+        with Storage(self._bag) as storage:
+            for batch in storage.batches(frozenset(names)) if names else ():
+                self._raws[batch.topic] += batch.raws()
+
+    def on(self, topic: str, kind: str) -> list[Any]:
+        """Return the messages on a topic in the order of the log; none where it is not there."""
+        if not any(name.rpartition("/")[2] == topic.rpartition("/")[2] for name in self._known):
+            return []
+        name = find_topic(self._where, topic, self._known, (kind,))
+        if name not in self._raws:
+            self._read({name})
+        deserialize = jazzy_types().deserialize_cdr
+        try:
+            return [deserialize(raw, kind) for raw in self._raws[name]]
+        # rosbags lets whatever its generated code trips over escape.
+        except Exception as error:
+            line = f"{self._where}: a message on {name} is no {kind}: {error!r}"
+            raise BagError(line) from error
+
+    def planar(self, topic: str) -> PlanarColumns:
+        """Return the poses of an odometry topic in the plane."""
+
+        def row(message: Any) -> tuple[float, float, float]:
+            p, q = message.pose.pose.position, message.pose.pose.orientation
+            heading = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+            return p.x, p.y, float(heading)
+
+        stamps_ns, poses = self._rows(topic, ODOMETRY, row)
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return PlanarColumns(stamps_ns, poses)
+
+    def vectors(self, topic: str) -> tuple[NDArray[np.int64], Numbers]:
+        """Return stamps in [ns], (N,), and x, y, z, (N, 3), of a topic of stamped vectors."""
+        return self._rows(
+            topic, VECTOR, lambda each: (each.vector.x, each.vector.y, each.vector.z)
         )
-        for message in messages_on(bag, topic, STATUSES)
-        for status in message.status
-    ]
+
+    def poses(self, topic: str, kind: str = POSES) -> PoseColumns | None:
+        """Return the poses of a topic; None where there is no such topic or nothing on it."""
+        rows: dict[int, Numbers] = {}
+        for message in self.on(topic, kind):
+            poses = message.poses if kind == POSES else [message.pose]
+            rows[stamp_ns_of(message)] = np.array([_numbers(pose) for pose in poses]).reshape(
+                -1, 7
+            )
+        if not rows:
+            return None
+        stamps = sorted(rows)
+        if len({len(row) for row in rows.values()}) > 1:
+            raise BagError(f"{self._where}: the number of poses on {topic} changes")
+        whole = np.array([rows[stamp] for stamp in stamps])
+        return PoseColumns(np.array(stamps, dtype=np.int64), whole[..., :3], whole[..., 3:])
+
+    def statuses(self, topic: str) -> list[Status]:
+        """Return what a topic of diagnostics says, in the order of the log; nothing without it."""
+        return [
+            Status(
+                stamp_ns_of(message),
+                int(status.level),
+                status.name,
+                status.message,
+                {pair.key: pair.value for pair in status.values},
+            )
+            for message in self.on(topic, STATUSES)
+            for status in message.status
+        ]
+
+    def _rows(
+        self, topic: str, kind: str, row: Callable[[Any], Sequence[float]]
+    ) -> tuple[NDArray[np.int64], Numbers]:
+        """Return stamps, ascending, and a row for each; of one stamp the last stands."""
+        rows = {stamp_ns_of(message): row(message) for message in self.on(topic, kind)}
+        if not rows:
+            raise BagError(f"{self._where}: no message on {topic}")
+        stamps = sorted(rows)
+        return np.array(stamps, dtype=np.int64), np.array([rows[stamp] for stamp in stamps])
+
+
+def _numbers(pose: Any) -> tuple[float, ...]:
+    p, q = pose.position, pose.orientation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
+
+
+def odometry_topics(bag: Path) -> list[str]:
+    """Return the names of a bag's topics of odometry."""
+    with Storage(bag) as storage:
+        return [name for name, info in storage.topics().items() if info.type == ODOMETRY]
 
 
 TEXT = "std_msgs/msg/String"
@@ -160,11 +175,6 @@ def read_robot_descriptions(bag: Path, namespace: str | None = None) -> list[tup
                 with suppress(MessageError):
                     found[batch.topic] = decode_text(raw)
     return sorted(found.items())
-
-
-def _numbers(pose: Any) -> tuple[float, ...]:
-    p, q = pose.position, pose.orientation
-    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
 PARAMETER_EVENTS = "rcl_interfaces/msg/ParameterEvent"

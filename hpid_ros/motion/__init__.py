@@ -10,7 +10,6 @@ from hpid_ros.motion.joint_trajectory import (
     SplineReference,
     TrajectoryPoint,
 )
-from hpid_ros.motion.references import reference_from
 
 __all__ = [
     "BasePath",
@@ -23,7 +22,6 @@ __all__ = [
     "base_path",
     "combined",
     "minimum_jerk",
-    "reference_from",
     "sine",
     "step",
 ]

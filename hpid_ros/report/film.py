@@ -26,7 +26,7 @@ from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.text import figure_text, shown
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.base.yaml_files import load_document
-from hpid_ros.messages.messages import read_planar, read_poses
+from hpid_ros.messages.messages import BagMessages
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, SeriesError, seconds_since
@@ -241,7 +241,7 @@ class _Motion(NamedTuple):
     def _true_base(self, instants: Numbers) -> Numbers | None:
         if self.world.base is None or self.world.fixed_base:
             return None
-        truth = read_planar(self.bag, TRUTH)
+        truth = BagMessages(self.bag).planar(TRUTH)
         return self._sampled(instants, truth.stamps_ns, truth.poses)
 
     def _wanted_base(self, instants: Numbers) -> Numbers | None:
@@ -257,7 +257,7 @@ class _Motion(NamedTuple):
         place, count = self.world.workplace, len(instants)
         still = [[*box.position, *box.orientation] for box in (*place.supports, *place.bricks)]
         placements = np.tile(np.reshape(still, (-1, 7)), (count, 1, 1))
-        reported = read_poses(self.bag, BRICK_POSES) if place.bricks else None
+        reported = BagMessages(self.bag).poses(BRICK_POSES) if place.bricks else None
         if reported is not None:
             when = self.run.start_ns + np.round(instants * NANOSECONDS).astype(np.int64)
             at = np.searchsorted(reported.stamps_ns, when).clip(0, len(reported.stamps_ns) - 1)

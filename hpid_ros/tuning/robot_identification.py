@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import BagError, SettingError, unknown_name
 from hpid_ros.base.units import NANOSECONDS, Numbers
-from hpid_ros.messages.messages import odometry_topics, read_planar
+from hpid_ros.messages.messages import BagMessages, odometry_topics
 from hpid_ros.messages.selection import is_below
 from hpid_ros.messages.series import MEASURED, JointSeries, RunSeries, seconds_since
 from hpid_ros.robot.amendments import JointAmendment, amended
@@ -50,7 +50,7 @@ def base_motion(bag: Path, namespace: str = "") -> BaseMotion | None:
     topics = [name for name in odometry_topics(bag) if is_below(name, f"/{namespace.strip('/')}")]
     for topic in topics:
         with suppress(BagError):  # without messages, or with damaged ones
-            found.append(read_planar(bag, topic).poses)
+            found.append(BagMessages(bag).planar(topic).poses)
     if not found:
         return None
     ways = [float(np.hypot(*np.ptp(poses[:, :2], axis=0))) for poses in found]

@@ -20,7 +20,7 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph_run import run_on_graph
 from hpid_ros.experiment.in_process import NoProgress, RunReport, run_without_ros, write_document
 from hpid_ros.experiment.result_folder import ResultFolder
-from hpid_ros.messages.messages import PoseColumns, read_poses, read_statuses
+from hpid_ros.messages.messages import BagMessages, PoseColumns
 from hpid_ros.messages.reports import POSE, POSES
 from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.metrics.task import EndEffector, TaskFrame, moving_joints
@@ -118,7 +118,7 @@ def test_a_brick_is_carried_to_its_place(small_result):
     result, bag = small_result
     (brick,) = result.as_mapping()["bricks"]["hPID"].values()
     require_carried(brick)
-    assert [event.message for event in read_statuses(bag, "grip_events")] == [
+    assert [event.message for event in BagMessages(bag).statuses("grip_events")] == [
         "grasped",
         "released",
     ]
@@ -136,9 +136,10 @@ def test_the_graph_does_the_same_task_to_the_last_bit(small_result, tmp_path):
     assert report.warnings == []
     told = json.dumps(compute(experiment, {"hPID": on_graph}).as_mapping())
     assert told == json.dumps(result.as_mapping())
-    assert read_statuses(on_graph, "grip_events") == read_statuses(bag, "grip_events")
+    events = [BagMessages(each).statuses("grip_events") for each in (on_graph, bag)]
+    assert events[0] == events[1]
     for topic, kind in (("brick_poses", POSES), ("ee_pose", POSE)):
-        one, other = (read_poses(each, topic, kind) for each in (on_graph, bag))
+        one, other = (BagMessages(each).poses(topic, kind) for each in (on_graph, bag))
         for a, b in zip(one, other, strict=True):
             assert np.array_equal(a, b)
         assert one.stamps_ns[-1] == 4_400_000_000  # the last state is told in any case
@@ -155,7 +156,7 @@ def test_a_brick_that_is_not_where_it_is_believed_is_reported(written, tmp_path)
     assert brick["position_error"] == pytest.approx(0.12, abs=1e-3)
     (line,) = [note for note in result.notes if "brick brick" in note]
     assert re.match(r"hPID: brick brick not grasped \(0\.0\d+ m away, at most 0\.015 m\)", line)
-    (event,) = read_statuses(bag, "grip_events")
+    (event,) = BagMessages(bag).statuses("grip_events")
     assert event.level == 1
 
 
@@ -166,7 +167,7 @@ def test_a_grip_that_is_too_weak_loses_the_brick_and_says_so(written, tmp_path):
     assert brick["lost"]
     assert "the grip holds 4.8 N" in brick["reason"]
     assert brick["position_error"] > 0.05
-    assert [event.level for event in read_statuses(bag, "grip_events")] == [0, 2]
+    assert [event.level for event in BagMessages(bag).statuses("grip_events")] == [0, 2]
 
 
 def test_the_shipped_task_puts_both_bricks_where_they_belong(tmp_path):

@@ -17,7 +17,7 @@ from hpid_ros.base.errors import BagError, ExperimentError, SettingError
 from hpid_ros.experiment.compare import compute
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import NoProgress, run_without_ros
-from hpid_ros.messages.messages import read_planar, read_vectors
+from hpid_ros.messages.messages import BagMessages
 from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.task import PoseErrors, base_figures
 from hpid_ros.robot.differential_drive import DifferentialDrive, PlanarPose, integrated
@@ -123,15 +123,15 @@ def test_result_and_bag_hold_the_base(experiment_file, tmp_path):
     }
     bag = bags["PID"]
     for topic in ("odom", "base_pose_ground_truth"):
-        stamps = read_planar(bag, topic).stamps_ns
+        stamps = BagMessages(bag).planar(topic).stamps_ns
         # Fifty a second, and the last state.
         assert stamps.tolist() == [*range(0, 310_000_000, 20_000_000), 310_000_000]
-    stamps, slips = read_vectors(bag, "wheel_slip")
+    stamps, slips = BagMessages(bag).vectors("wheel_slip")
     assert slips.shape == (len(stamps), 3)
     assert (np.diff(slips, axis=0) >= 0.0).all()
     assert base["PID"]["slip_left"] == slips[-1, 0]
     with pytest.raises(BagError, match="odom is nav_msgs/msg/Odometry, but must be"):
-        read_vectors(bag, "odom")
+        BagMessages(bag).vectors("odom")
 
 
 def test_odometry_is_what_the_encoders_said(experiment_file, tmp_path):
@@ -140,12 +140,12 @@ def test_odometry_is_what_the_encoders_said(experiment_file, tmp_path):
     run_without_ros(experiment, "PID", tmp_path / "bag", NoProgress())
     run = read_run(tmp_path / "bag", "PID", joints=WHEELS)
     left, right = run.joints
-    odom = read_planar(tmp_path / "bag", "odom")
+    odom = BagMessages(tmp_path / "bag").planar("odom")
     by_hand = integrated(DRIVE, left.position, right.position)
     at = np.searchsorted(left.state_stamps_ns, odom.stamps_ns)
     assert np.abs(odom.poses[-1]).max() > 0.01
     assert odom.poses == pytest.approx(by_hand[at], abs=1e-12)
-    truth = read_planar(tmp_path / "bag", "base_pose_ground_truth")
+    truth = BagMessages(tmp_path / "bag").planar("base_pose_ground_truth")
     away, count = np.abs(odom.poses - truth.poses), DRIVE.radius * math.tau / 512
     assert 1e-5 < away[:, :2].max() < count
     assert away[:, 2].max() < 2.0 * count / DRIVE.separation

@@ -113,24 +113,24 @@ class Usage:
             "services": self.services,
         }
         paragraphs = [f"{what}: {', '.join(names)}" for what, names in lists.items() if names]
-        return "\n".join(
-            [
-                f"usage: {self.name} --ros-args{needs} [-p NAME:=VALUE]... "
-                "[--params-file FILE]... [-r __ns:=/NAMESPACE]",
-                "",
-                self.about,
-                "",
-                *(_FILL(text) for text in paragraphs),
-                "",
-                "ros2 param describe tells of a running node what each parameter is; "
-                "docs/interfaces.md has all of them.",
-            ]
+        usage = (
+            f"usage: {self.name} --ros-args{needs} [-p NAME:=VALUE]... [--params-file FILE]... "
+            "[-r __ns:=/NAMESPACE]"
         )
+        where = (
+            "ros2 param describe tells of a running node what each parameter is; "
+            "docs/interfaces.md has all of them."
+        )
+        hanging = [_HANGING.fill(text) for text in paragraphs]
+        about = [_FILL(self.about), "", *hanging, "", _FILL(where)]
+        return "\n".join([_HANGING.fill(usage), "", *about])
 
 
-_FILL = textwrap.TextWrapper(
-    96, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
-).fill
+_WIDTH = 80  # columns of the help of a node
+_FILL = partial(textwrap.fill, width=_WIDTH)
+_HANGING = textwrap.TextWrapper(
+    _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+)
 
 BAD_INPUT = 2
 """Exit code of a process whose parameters or arguments cannot be used."""

@@ -457,15 +457,8 @@ def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
 
 
 RECORDS: tuple[type[Record], ...] = (
-    *(WorldFileParameters, WorldParameters, PaceParameters, WaitingParameters),
-    *(
-        RecordParameters,
-        ReportParameters,
-        FrameParameters,
-        WrenchParameters,
-        Scheduling,
-        StatusParameters,
-    ),
+    *(WorldFileParameters, WorldParameters, PaceParameters, WaitingParameters, RecordParameters),
+    *(ReportParameters, FrameParameters, WrenchParameters, Scheduling, StatusParameters),
 )
 """What a bridge's parameters are declared by, but for those laid over the file."""
 

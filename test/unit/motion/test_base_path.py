@@ -9,7 +9,8 @@ from hypothesis import example, given, reject
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import TrajectoryError
-from hpid_ros.motion import BasePath, base_path, reference_from
+from hpid_ros.motion import BasePath, base_path
+from hpid_ros.motion.references import reference_from
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 
 DRIVE = DifferentialDrive("left", "right", 0.075, 0.5)

@@ -13,10 +13,10 @@ from hpid_ros.motion import (
     TrajectoryPoint,
     combined,
     minimum_jerk,
-    reference_from,
     sine,
     step,
 )
+from hpid_ros.motion.references import reference_from
 
 NUMBERS = st.floats(-10.0, 10.0)
 AROUND = (-2, -1, 0, 1, 2)  # [ns], of a point
