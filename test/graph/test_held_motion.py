@@ -149,7 +149,7 @@ def test_a_button_that_was_released_before_there_is_a_process_is_gone_at_once(pi
 def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
     order = bench.order("held")
     began = wait_for_rest(bench.harness)
-    motion = HeldMotion(*order, within=1.5)
+    motion = HeldMotion(*order, within=10.0 * HELD_WITHIN)
     bench.reach(motion, lambda: motion.stage == "ready")
     assert np.ptp(positions(bench.harness)) < 1e-3  # nobody has pressed
     assert motion.ending is None
