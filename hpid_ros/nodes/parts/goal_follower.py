@@ -412,6 +412,8 @@ class GoalFollower:
     def confirm(self) -> Outcome | None:
         """End the active goal if what was missed has not come meanwhile."""
         missed, self._missed = self._missed, _Overdue()
+        if self._late_by:  # stood still since: what has not come may still do so
+            return None
         overdue = self._overdue() if self._active is not None else _Overdue()
         is_missed = bool(overdue.reason) and overdue[:2] == missed[:2]
         return self._abort(overdue.reason) if is_missed else None

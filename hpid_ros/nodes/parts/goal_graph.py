@@ -135,7 +135,11 @@ class GroupTopics:
             missed = self._follower.misses
             self._act(self._follower.take_state(stamp_ns, parts))
             if self._follower.misses and not missed:  # the executor's queue is first in, first out
-                self._node.hand_over(lambda: self._act(self._follower.confirm()))
+                self._node.hand_over(self._confirm)
+
+    def _confirm(self) -> None:
+        self._wake()
+        self._act(self._follower.confirm())
 
     def _on_reference(self, joint: int, reader: JointReader, raw: bytes) -> None:
         self._wake()

@@ -104,6 +104,18 @@ def test_references_that_wait_while_newer_states_are_taken_are_not_missed():
     assert group.results[0].code is ResultCode.SUCCESSFUL
 
 
+def test_what_is_missed_has_its_time_to_come_where_the_process_stood_still_before_confirming():
+    group = started()
+    group.run(0.3)
+    group.mute, group.is_behind = {0, 1}, True
+    group.run(0.6)
+    group.follower.allow_late(0.2)
+    assert group.follower.misses
+    assert group.follower.confirm() is None
+    group.is_behind = False
+    assert group.run(2.0, until=lambda: group.results) == pytest.approx(0.7, abs=0.01)
+
+
 def test_a_follower_that_has_fallen_behind_calls_no_goal_reached_whose_controller_is_gone():
     group = started()
     group.run(0.3)
