@@ -113,7 +113,8 @@ setup(
     package_data={
         PACKAGE: [
             *("py.typed", "report/assets/*", "report/templates/*"),
-            *("tuning/templates/*", "live/page/assets/*"),
+            *("tuning/templates/*.[ch]", "tuning/templates/ros2_control/*"),
+            "live/page/assets/*",
         ]
     },
     python_requires=">=3.10",

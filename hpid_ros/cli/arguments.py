@@ -45,7 +45,7 @@ GROUPS = {
         "excite": "move joints so that a recording tells what they are",
         "identify": "find inertia, friction, load and delay in a bag",
         "live": "a page to see, retune and stop controllers that run",
-        "export": "write joints' loops as C for a microcontroller",
+        "export": "joints' loops as C, or as a plugin for ros2_control",
     },
     "tools": {
         "doctor": "does everything work on this machine? if not, what to do",

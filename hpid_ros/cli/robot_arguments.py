@@ -428,30 +428,34 @@ def upgrade(parser: Parser) -> None:
 
 def export(parser: Parser) -> None:
     parser.describe(
-        "FILE --c -o DIR",
-        "Write the loop of each joint as self-contained C99: a header and a source with law, "
-        "norm, limits, anti-windup and velocity filter, and a program that replays what Python "
-        "answers to a thousand states and prints the largest deviation.",
-        {"hpid export my.yaml --c -o c_code": "then compile elbow_test.c with elbow.c"},
-        "docs/export.md says what the C code holds and what stays with the node.",
+        "FILE (--c | --ros2-control) -o DIR",
+        "Write the loop of each joint as self-contained C99, with a program that replays what "
+        "Python answers to a thousand states; or all loops as a package for ros2_control, with "
+        "certificates of the gains around theirs.",
+        {
+            "hpid export my.yaml --c -o c_code": "for a microcontroller",
+            "hpid export my.yaml --ros2-control -o my_arm": "for colcon build",
+        },
+        "docs/export.md says what the code holds and what stays with the node.",
     )
     text = """
         file FILE  parameter file of controllers, or experiment
-        --c  in C99
         --joint NAME ...  only this joint; may be repeated (all)
         --controller LABEL  of an experiment (its first with a homogeneous loop)
-        --precision  of the numbers (double); a macro in the header can say another
-        -o --output DIR  folder to write into
+        --precision  of the numbers in C (double); a macro in the header can say another
+        -o --output DIR  folder to write into; its name is that of the package
         --force  replace existing files
     """
+    kinds = parser.add_mutually_exclusive_group(required=True)
+    options(kinds, "--c  in C99\n--ros2-control  a plugin for controller_manager")
     options(
         parser,
         text,
         file=Path,
-        c={"required": True, "action": "store_true"},
         precision=("double", "single"),
         output={"required": True, "type": Path},
     )
+    robot_options(parser, parser.rare())
 
 
 def robot(parser: Parser) -> None:

@@ -370,6 +370,8 @@ class EffortReader:
 
     def __init__(self) -> None:
         self.sender = ""
+        # what was asked for in the last message, positions and velocities, where it says so
+        self.asked: tuple[Sequence[float], Sequence[float]] | None = None
         self._known: dict[bytes, tuple[tuple[str, ...], str]] = {}
         self._stamp = struct.Struct("<iI")
         self._effort = struct.Struct("<d")
@@ -379,7 +381,7 @@ class EffortReader:
         known = self._known.get(raw[NAMES_OFFSET:-8])
         if known is None:
             return self._learn(raw)
-        names, self.sender = known
+        (names, self.sender), self.asked = known, None
         seconds, nanoseconds = self._stamp.unpack_from(raw, STAMP_OFFSET)
         return (
             seconds * NANOSECONDS + nanoseconds,
@@ -402,6 +404,8 @@ class EffortReader:
                 if layout is not None and layout.effort == len(raw) - _DOUBLE:
                     self._known[key] = fields.names, fields.frame_id
         self.sender = fields.frame_id
+        is_asked = len(fields.position) == len(fields.velocity) == len(fields.names)
+        self.asked = (fields.position, fields.velocity) if is_asked else None
         return fields.stamp_ns, fields.names, fields.effort
 
 

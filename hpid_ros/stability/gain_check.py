@@ -18,6 +18,7 @@ import numpy as np
 
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.base.processes import side_by_side
+from hpid_ros.base.units import Numbers
 from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import Gains, HomogeneousPid, is_hurwitz
 from hpid_ros.control.norms import CanonicalNorm, NormFamily, NormType, WeightedNorm
@@ -91,6 +92,12 @@ def _rate(gains: Gains, inertia: float) -> float:
     return float((gains.i / inertia) ** (1.0 / 3.0))
 
 
+def physical_units(settings: LoopSettings, inertia: tuple[float, float]) -> Numbers:
+    """Return the units of a loop's state, of its kind: in [rad], [rad/s] and [rad/s^2]."""
+    scale, rate = settings.norm_family.error_scale, _rate(settings.gains, inertia[1])
+    return np.array([scale, scale * rate, scale * rate**2])
+
+
 def _interval(kind: LoopKind) -> DegreeInterval | None:
     try:
         return certified_degree_interval(
@@ -112,8 +119,7 @@ def _in_physical_units(
             f"= {gains.i * largest:g} by more"
         )
     family = settings.norm_family
-    rate, scale = _rate(gains, largest), family.error_scale
-    units = [scale, scale * rate, scale * rate**2]
+    rate, units = _rate(gains, largest), physical_units(settings, inertia)
     certificate = interval.certificate
     middle = [0.5 * (least + largest)] * (len(certificate.inertias) - 2)
     ends = [least, largest] if len(certificate.inertias) > 1 else [largest]
@@ -121,7 +127,7 @@ def _in_physical_units(
 
     def converted(span: CertifiedSpan) -> CertifiedSpan:
         shape: Matrix = tuple(
-            tuple(value / (units[i] * units[j]) for j, value in enumerate(row))
+            tuple(float(value / (units[i] * units[j])) for j, value in enumerate(row))
             for i, row in enumerate(span.shape)
         )
         norms = tuple(family(norm.degree) for norm in span.norms)
@@ -393,7 +399,8 @@ def _multipliers(settings: LoopSettings) -> tuple[float, float]:
     return multiplier_range(settings.degree, min(law.norm_floor, cap), cap)
 
 
-_KEY = "certificates"
+CERTIFICATES = "certificates"
+"""Key of a file of certificates by name."""
 
 
 class Verification(NamedTuple):
@@ -415,7 +422,7 @@ def certificates(controllers: Mapping[str, Sequence[LoopSettings]]) -> dict[str,
         [(each, (each.plant_inertia, each.plant_inertia)) for each in loops.values()]
     )
     return {
-        _KEY: {
+        CERTIFICATES: {
             name: verdict.certificate or {"reason": verdict.reason}
             for name, verdict in zip(loops, verdicts, strict=True)
         }
@@ -433,7 +440,7 @@ def saved_certificates(path: Path) -> dict[str, Mapping[str, Any]]:
         raise SettingError(f"cannot read {path}: {reason}") from None
     except (ValueError, RecursionError) as error:
         raise SettingError(f"cannot read {path}: {error}") from None
-    found = document.get(_KEY) if isinstance(document, Mapping) else None
+    found = document.get(CERTIFICATES) if isinstance(document, Mapping) else None
     return dict(found) if isinstance(found, Mapping) else {}
 
 

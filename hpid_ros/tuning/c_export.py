@@ -29,6 +29,7 @@ from hpid_ros.control.settings import (
     LoopSettings,
     Value,
 )
+from hpid_ros.tuning.replay import AskedReference
 
 _CHOICES: Mapping[str, tuple[str, ...]] = {
     "law": ("hpid", "pid"),
@@ -137,42 +138,12 @@ _SAFETY = 300.0
 _PRECISIONS = 2.0**29  # a last place in single precision, in those of double precision
 
 
-@dataclass
-class GivenReference:
-    """A reference that is set again with each state, as a firmware does.
-
-    It is under way whenever a loop takes it up, so that the loop glides onto it.
-    """
-
-    position: float = 0.0  # [rad]
-    velocity: float = 0.0  # [rad/s]
-
-    def start(self, now_ns: int, position: float, velocity: float) -> GivenReference:
-        return self
-
-    def is_under_way(self, now_ns: int) -> bool:
-        return True
-
-    def target(self, now_ns: int) -> float:
-        return self.position
-
-    def sample(self, stamp_ns: int) -> tuple[float, float, float]:
-        return self.position, self.velocity, 0.0
-
-    @property
-    def gives_effort(self) -> bool:
-        return False
-
-    def effort(self, stamp_ns: int) -> float:
-        return 0.0
-
-
 class GivenLoop:
     """Python's loop, called as the exported one: with the reference of each state."""
 
     def __init__(self, settings: LoopSettings) -> None:
         self.loop = JointLoop(settings)
-        self._reference = GivenReference()
+        self._reference = AskedReference({})
         self.loop.follow(self._reference)
 
     def step(
@@ -183,9 +154,10 @@ class GivenLoop:
         A reference that is no joint's makes the state one that cannot be used: Python's motions
         have none, they are checked before.
         """
-        if not all(-LARGEST_POSITION <= each <= LARGEST_POSITION for each in (reference, rate)):
+        self._reference.samples.clear()
+        self._reference.samples[stamp_ns] = reference, rate
+        if not self._reference.is_usable(stamp_ns):
             return self.loop.reject(stamp_ns, f"reference {reference} rad, {rate} rad/s")
-        self._reference.position, self._reference.velocity = reference, rate
         return self.loop.step(stamp_ns, position, velocity)
 
 
@@ -364,15 +336,21 @@ def require_distinct(joints: Sequence[str]) -> None:
 
 def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[str, str]:
     """Return the files that are a joint's loop in C99."""
+    return loop_files(c_name(settings.joint), settings, precision, source)
+
+
+def loop_files(
+    name: str, settings: LoopSettings, precision: Precision, source: str
+) -> dict[str, str]:
+    """Return the files of a loop whose identifiers all begin with a name."""
     values = exported_values(settings)
     if precision == "single":
         in_single(settings)
-    name = c_name(settings.joint)
     texts = {
         "c": name,
         "C": name.upper(),
-        "joint": _plain(settings.joint),
-        "source": _plain(source),
+        "joint": plain(settings.joint),
+        "source": plain(source),
         "version": __version__,
         "is_single": precision == "single",
         "fields": FIELDS,
@@ -384,9 +362,8 @@ def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[s
         "largest_motion": LARGEST_MOTION,
         "parameters": LOOP_PARAMETERS,
     }
-    templates = _templates()
     return {
-        f"{name}{suffix}": templates.get_template(template).render(texts)
+        f"{name}{suffix}": templates().get_template(template).render(texts)
         for template, suffix in _FILES.items()
     }
 
@@ -406,20 +383,24 @@ def _double(value: float | None) -> str:
     return repr(float(value))  # as many digits as tell it from every other number
 
 
+def _pair(values: tuple[float, float]) -> str:
+    return f"{{{_double(values[0])}, {_double(values[1])}}}"
+
+
 def _comment(text: str, indent: int = 0) -> str:
     """Return a text for a comment, in lines; the first one begins after the indent."""
     lines = textwrap.wrap(text, _WIDTH - indent - len("/*  */"))
     return f"\n{' ' * indent} * ".join(lines)
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Return a text that somebody else wrote so that it can neither end a comment nor a line."""
     plain = re.sub(r"[^A-Za-z0-9 .,:()+=_-]", "_", text)
     return plain if len(plain) <= _LONGEST_NAME else f"{plain[: _LONGEST_NAME - 3]}..."
 
 
 @cache
-def _templates() -> Environment:
+def templates() -> Environment:
     """Return the templates; whatever is foreign in what they print has been made plain before."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
@@ -428,5 +409,5 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(real=_real, double=_double, comment=_comment)
+    environment.filters.update(real=_real, double=_double, pair=_pair, comment=_comment)
     return environment

@@ -38,6 +38,7 @@ from hpid_ros.messages.storage import PARAMETERS, Storage, recorded_slides
 from hpid_ros.robot.description import RobotLimits, robot_limits
 from hpid_ros.tuning.replay import (
     Answer,
+    AskedReference,
     Instruction,
     JointRecord,
     RecordedCommand,
@@ -164,6 +165,8 @@ class _Joint:
     reader: JointReader
     model: LoopModel | None
     states: list[RecordedState] = field(default_factory=list)
+    asked: AskedReference = field(default_factory=lambda: AskedReference({}))
+    motions: list[Instruction] = field(default_factory=list)
     commands: list[RecordedCommand] = field(default_factory=list)
     instructions: list[Instruction] = field(default_factory=list)
     permissions: list[tuple[int, bool]] = field(default_factory=list)
@@ -290,11 +293,12 @@ class _Collector:
         for each in self._joints.values():
             if not (each.states and each.commands) and not is_asked_for:
                 continue
+            motions = [] if each.asked.samples else each.motions
             yield JointRecord(
                 each.controller.settings,
                 sorted(each.states, key=_place),
                 sorted(each.commands, key=_place),
-                sorted(each.instructions, key=_place),
+                sorted([*each.instructions, *motions], key=_place),
                 min(begins, default=0),
                 each.controller.limits.is_slide or each.controller.settings.joint in self._slides,
             )
@@ -314,7 +318,7 @@ class _Collector:
                     self._notes[f"a state was left out, as the controller does: {error}"] = None
                     continue
                 if sample is not None:
-                    answer: Answer = partial(_step, sample)
+                    answer: Answer = partial(_step, sample, joint.asked)
                     if joint.model is not None:
                         answer = _ModelAnswer(joint.model, self._robots[name], sample, raw)
                     joint.states.append(RecordedState(log_time_ns, place, sample.stamp_ns, answer))
@@ -326,11 +330,15 @@ class _Collector:
             except MessageError as error:
                 self._notes[f"a command was left out: {error}"] = None
                 continue
-            for name, effort in zip(names, efforts, strict=True):
+            asked = self._efforts.asked
+            for at, (name, effort) in enumerate(zip(names, efforts, strict=True)):
                 self.commanded.add(name)
                 if name in self._joints:
+                    joint = self._joints[name]
                     command = RecordedCommand(place, stamp_ns, effort, self._efforts.sender)
-                    self._joints[name].commands.append(command)
+                    joint.commands.append(command)
+                    if asked is not None:
+                        joint.asked.samples[stamp_ns] = asked[0][at], asked[1][at]
 
     def _take_trajectories(self, batch: TopicBatch) -> None:
         for log_time_ns, place, raw in _messages(batch):
@@ -343,13 +351,15 @@ class _Collector:
                 if name in places:
                     with self._leaving_out("a trajectory was left out"):
                         motion = following(column(name, places[name]))
-                        joint.instruct(log_time_ns, place, motion, "a trajectory")
+                        joint.motions.append(
+                            Instruction(log_time_ns, place, motion, "a trajectory")
+                        )
 
     def _take_setpoints(self, joint: _Joint, batch: TopicBatch) -> None:
         for log_time_ns, place, raw in _messages(batch):
             with self._leaving_out("a setpoint was left out, as controllers refuse it"):
                 motion = following(Setpoint(decode_float64(raw)))
-                joint.instruct(log_time_ns, place, motion, "a setpoint")
+                joint.motions.append(Instruction(log_time_ns, place, motion, "a setpoint"))
 
     def _take_relays(self, joint: _Joint, batch: TopicBatch) -> None:
         for log_time_ns, place, raw in _messages(batch):
@@ -399,7 +409,12 @@ def _place(each: RecordedState | RecordedCommand | Instruction) -> int:
     return each.place
 
 
-def _step(sample: JointSample, loop: JointLoop) -> float:
+def _step(sample: JointSample, asked: AskedReference, loop: JointLoop) -> float:
+    if asked.samples:
+        if not loop.has_motion:
+            loop.follow(asked)
+        if not asked.is_usable(sample.stamp_ns):
+            return loop.reject(sample.stamp_ns, "the reference")
     return loop.step(*sample)
 
 

@@ -21,7 +21,7 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
-from hpid_ros.control.reference import Motion
+from hpid_ros.control.reference import LARGEST_POSITION, Motion
 from hpid_ros.control.settings import LoopSettings
 
 Answer = Callable[[JointLoop], float]
@@ -70,6 +70,37 @@ def driven(request: RelayRequest | None) -> Callable[[JointLoop], None]:
     if request is None:
         return lambda loop: loop.end_relay("it was told to end")
     return lambda loop: loop.begin_relay(request)
+
+
+@dataclass(frozen=True)
+class AskedReference:
+    """A reference that is given with each state, as to a firmware or a plugin of ros2_control."""
+
+    samples: dict[int, tuple[float, float]]  # position [rad] and velocity [rad/s] by stamp [ns]
+
+    def __deepcopy__(self, memo: object) -> AskedReference:
+        return self  # the same for every branch of a replay
+
+    gives_effort = False
+
+    def start(self, now_ns: int, position: float, velocity: float) -> AskedReference:
+        return self
+
+    def is_under_way(self, now_ns: int) -> bool:
+        return True
+
+    def target(self, now_ns: int) -> float:
+        return self.sample(now_ns)[0]
+
+    def sample(self, stamp_ns: int) -> tuple[float, float, float]:
+        """Return what was asked for; of a state without an answer nobody knows."""
+        return (*self.samples.get(stamp_ns, (0.0, 0.0)), 0.0)
+
+    def effort(self, stamp_ns: int) -> float:
+        return 0.0
+
+    def is_usable(self, stamp_ns: int) -> bool:
+        return all(abs(each) <= LARGEST_POSITION for each in self.sample(stamp_ns))
 
 
 @dataclass(frozen=True)

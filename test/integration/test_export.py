@@ -8,7 +8,7 @@ import yaml
 from harness.c_loops import compile_c
 from harness.places import ROOT
 
-from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
 
 GAINS = {"gains": {"p": 39.6, "i": 132.0, "d": 3.96}, "mu": -0.2, "inertia": 0.132}
@@ -123,3 +123,52 @@ def test_a_missing_file_and_a_folder_that_is_none_are_refused(controllers, tmp_p
     ):
         assert main(["export", "--c", str(source), "-o", str(folder)]) == BAD_INPUT
         assert words in capsys.readouterr().err
+
+
+PID = {"law": "pid", "mu": 0.0}
+
+
+def test_all_joints_become_a_package_for_ros2_control(controllers, tmp_path, capsys):
+    folder = tmp_path / "arm_controller"
+    file = str(controllers(**PID))
+    arguments = ["export", file, "--ros2-control", "-o", str(folder), "--joint", "wrist"]
+    assert main(arguments) == DONE
+    output = capsys.readouterr().out
+    assert "wrist: mu -0.100 to +0.100; at its own each gain by 1/1.5 to 1.5" in output
+    loop = (folder / "src" / "arm_controller_loop.c").read_text()
+    assert "arm_controller_loop_step" in loop
+    assert "controllers.yaml" in (folder / "README.md").read_text()
+    parameters = yaml.safe_load((folder / "config" / "joints.yaml").read_text())
+    assert parameters["/**/wrist_controller"]["ros__parameters"]["gains"] == GAINS["gains"]
+    assert main(arguments) == BAD_INPUT
+    assert "package.xml exists" in capsys.readouterr().err
+    assert main(["check-gains", str(folder / "config" / "certificates.json")]) == DONE
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--precision", "single"], "--precision single is for --c"),
+        (["--joint", "shoulder"], "unknown joint 'shoulder'"),
+        (["--inertia", "1.1"], "at mu = -0.2 for an inertia of 0.132 to 1.1 kg m^2: "),
+        (["--c"], "not allowed with argument"),
+    ],
+)
+def test_a_package_that_cannot_be_is_refused_and_nothing_is_written(
+    controllers, tmp_path, capsys, options, reason
+):
+    folder = tmp_path / "arm_controller"
+    arguments = ["export", str(controllers(**PID)), "--ros2-control", "-o", str(folder)]
+    try:
+        code = main([*arguments, *options])
+    except SystemExit as ended:
+        code = ended.code
+    assert code in (BAD_INPUT, FAILED)
+    assert reason in capsys.readouterr().err
+    assert not folder.exists()
+
+
+def test_a_folder_that_is_no_package_is_refused(controllers, tmp_path, capsys):
+    arguments = ["export", str(controllers()), "--ros2-control", "-o", str(tmp_path / "My-Arm")]
+    assert main(arguments) == BAD_INPUT
+    assert "'My-Arm' cannot be the name of a package" in capsys.readouterr().err

@@ -1,39 +1,73 @@
-"""``hpid export``: the loop of each joint as source for a microcontroller."""
+"""``hpid export``: the loop of each joint as C, or all as a plugin for ros2_control."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import (
     first_homogeneous,
+    inertias_from,
+    joint_progress,
     loop_file,
     require_controller,
     require_joints,
     write_output,
 )
 from hpid_ros.control.settings import LoopSettings
+from hpid_ros.experiment.in_process import controllers_text
+from hpid_ros.stability.gain_boxes import gain_ranges
+from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.tuning.c_export import c_files, file_names, require_distinct
+from hpid_ros.tuning.plugin_export import package_files, require_package
 
 
 def run(options: argparse.Namespace) -> int:
     """Export, then write: all files or, where one cannot be, none."""
     loops = _chosen(_loops(options.file, options.controller), options.joint)
     require_distinct([each.joint for each in loops])
-    _refuse_in_the_way(options, loops)
+    if options.output.exists() and not options.output.is_dir():
+        raise SettingError(f"{options.output} is no folder; name one with -o")
+    if options.ros2_control:
+        return _export_plugin(options, loops)
+    _refuse_in_the_way(options, [name for loop in loops for name in file_names(loop.joint)])
     files = [c_files(each, options.precision, options.file.name) for each in loops]
     for each in files:
-        for name, text in each.items():
-            write_output(options.output / name, text)
+        _write(options.output, each)
     for loop, each in zip(loops, files, strict=True):
         header, source, *_, test = each
         print(f"{loop.joint}: {header}, {source}; to check it: {test}")
     print(f"written: {options.output}")
     return DONE
+
+
+def _export_plugin(options: argparse.Namespace, loops: Sequence[LoopSettings]) -> int:
+    if options.precision != "double":
+        raise SettingError("--precision single is for --c: ros2_control computes in double")
+    package = options.output.resolve().name
+    require_package(package, [each.joint for each in loops])
+    _refuse_in_the_way(options, ["package.xml", "config/joints.yaml"])
+    _, parameters = loop_file(options.file)
+    known = {**parameters.inertias, **inertias_from(options, [each.joint for each in loops])}
+    judged = [(each, inertia_of(each, known.get(each.joint))) for each in loops]
+    with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
+        ranges = gain_ranges(judged, progress)
+    files = package_files(package, ranges, controllers_text(loops), options.file.name)
+    _write(options.output, files)
+    for each in ranges:
+        print(f"{each.settings.joint}: {each}")
+    print(f"written: {options.output}")
+    return DONE
+
+
+def _write(folder: Path, files: Mapping[str, str]) -> None:
+    for name, text in files.items():
+        write_output(folder / name, text)
 
 
 def _loops(file: Path, label: str | None) -> Sequence[LoopSettings]:
@@ -52,11 +86,7 @@ def _chosen(loops: Sequence[LoopSettings], joints: Sequence[str]) -> list[LoopSe
     return [each for each in loops if not joints or each.joint in joints]
 
 
-def _refuse_in_the_way(options: argparse.Namespace, loops: Sequence[LoopSettings]) -> None:
-    """Refuse a folder that is none, and files that are there."""
-    folder: Path = options.output
-    if folder.exists() and not folder.is_dir():
-        raise SettingError(f"{folder} is no folder; name one with -o")
-    for loop in loops:
-        for name in file_names(loop.joint):
-            refuse_output(folder / name, force=options.force, inputs=[options.file], option="-o")
+def _refuse_in_the_way(options: argparse.Namespace, names: Iterable[str]) -> None:
+    for name in names:
+        path = options.output / name
+        refuse_output(path, force=options.force, inputs=[options.file], option="-o")

@@ -1,0 +1,323 @@
+#include "controller.hpp"
+
+#include <chrono>
+#include <exception>
+#include <tuple>
+
+#include "ament_index_cpp/get_package_share_directory.hpp"
+#include "certificate.hpp"
+#include "pluginlib/class_list_macros.hpp"
+
+namespace {{ package }}
+{
+
+namespace
+{
+
+constexpr auto kPeriod = std::chrono::milliseconds(10);
+constexpr int kReportsEvery = 100;  // periods
+
+}  // namespace
+
+HpidController::~HpidController() { close(); }
+
+controller_interface::CallbackReturn HpidController::on_init()
+{
+  try {
+    names_ = auto_declare<std::vector<std::string>>("joints", { {%- for each in joints %}"{{ each }}"{{ ", " if not loop.last }}{% endfor -%} });
+    has_velocities_ = auto_declare<bool>("velocity_interfaces", true);
+  } catch (const std::exception & error) {
+    RCLCPP_ERROR(get_node()->get_logger(), "%s", error.what());
+    return CallbackReturn::ERROR;
+  }
+  return CallbackReturn::SUCCESS;
+}
+
+controller_interface::CallbackReturn HpidController::on_configure(const State &)
+{
+  try {
+    open();
+  } catch (const std::exception & error) {
+    RCLCPP_ERROR(get_node()->get_logger(), "%s", error.what());
+    close();
+    return CallbackReturn::FAILURE;
+  }
+  return CallbackReturn::SUCCESS;
+}
+
+void HpidController::open()
+{
+  names_ = get_node()->get_parameter("joints").as_string_array();
+  has_velocities_ = get_node()->get_parameter("velocity_interfaces").as_bool();
+  const auto folder = ament_index_cpp::get_package_share_directory("{{ package }}") + "/config";
+  const auto reason = file_refusal(folder + "/certificates.json");
+  if (!reason.empty()) {
+    throw std::runtime_error(reason);
+  }
+  auto arguments = get_node()->get_node_options().arguments();
+  const std::vector<std::string> first = {
+    "--ros-args", "--params-file", folder + "/joints.yaml", "--"};
+  arguments.insert(arguments.begin(), first.begin(), first.end());
+  const auto options = rclcpp::NodeOptions().arguments(arguments).use_global_arguments(false);
+  const std::string space = get_node()->get_fully_qualified_name();
+  for (const auto & name : names_) {
+    joints_.push_back(std::make_unique<JointNode>(name, space, options, is_active_, is_chained_));
+  }
+  if (joints_.empty()) {
+    throw std::invalid_argument("parameter joints must name at least one joint");
+  }
+  for (auto & cycle : cycles_.places()) {
+    cycle.resize(joints_.size());
+  }
+  const auto node = joints_.front()->node();
+  const auto deep = rclcpp::QoS(4000);
+  states_ = rclcpp::create_publisher<Message>(node, "joint_states", deep);
+  commands_ = rclcpp::create_publisher<Message>(node, "joint_commands", deep);
+  diagnostics_ = rclcpp::create_publisher<Diagnostics>(node, "/diagnostics", 10);
+  timer_ = node->create_wall_timer(kPeriod, [this] { on_timer(); });
+  executor_ = std::make_unique<rclcpp::executors::SingleThreadedExecutor>();
+  for (const auto & joint : joints_) {
+    executor_->add_node(joint->node()->get_node_base_interface());
+  }
+  thread_ = std::thread([this] { executor_->spin(); });
+}
+
+void HpidController::close()
+{
+  is_active_ = false;
+  if (executor_) {
+    executor_->cancel();
+  }
+  if (thread_.joinable()) {
+    thread_.join();
+  }
+  timer_.reset();
+  states_.reset();
+  commands_.reset();
+  diagnostics_.reset();
+  executor_.reset();
+  joints_.clear();
+}
+
+controller_interface::CallbackReturn HpidController::on_activate(const State &)
+{
+  is_active_ = true;
+  for (const auto & interface : ordered_exported_reference_interfaces_) {
+    std::ignore = interface->set_value(kNaN);
+  }
+  for (const auto & each : joints_) {
+    each->joint().begin();
+    each->joint().is_enabled = true;
+  }
+  return CallbackReturn::SUCCESS;
+}
+
+controller_interface::CallbackReturn HpidController::on_deactivate(const State &)
+{
+  is_active_ = false;
+  Cycle * cycle = cycles_.back();
+  for (std::size_t i = 0; i < joints_.size(); ++i) {
+    Joint & joint = joints_[i]->joint();
+    joint.is_enabled = false;
+    const Record record = joint.step(0, kNaN, nullptr, nullptr);  // it is left
+    if (cycle != nullptr) {
+      (*cycle)[i] = record;
+    }
+  }
+  if (cycle != nullptr && !joints_.empty()) {
+    cycles_.push();
+  }
+  for (auto & interface : command_interfaces_) {
+    std::ignore = interface.set_value(0.0);
+  }
+  return CallbackReturn::SUCCESS;
+}
+
+controller_interface::CallbackReturn HpidController::on_cleanup(const State &)
+{
+  close();
+  return CallbackReturn::SUCCESS;
+}
+
+controller_interface::CallbackReturn HpidController::on_shutdown(const State & before)
+{
+  on_deactivate(before);
+  return on_cleanup(before);
+}
+
+controller_interface::CallbackReturn HpidController::on_error(const State & before)
+{
+  return on_shutdown(before);
+}
+
+controller_interface::InterfaceConfiguration HpidController::interfaces(
+  const std::vector<std::string> & kinds) const
+{
+  controller_interface::InterfaceConfiguration found;
+  found.type = controller_interface::interface_configuration_type::INDIVIDUAL;
+  for (const auto & name : names_) {
+    for (const auto & kind : kinds) {
+      found.names.push_back(name + "/" + kind);
+    }
+  }
+  return found;
+}
+
+controller_interface::InterfaceConfiguration
+HpidController::command_interface_configuration() const
+{
+  return interfaces({"effort"});
+}
+
+controller_interface::InterfaceConfiguration HpidController::state_interface_configuration() const
+{
+  if (!has_velocities_) {
+    return interfaces({"position"});
+  }
+  return interfaces({"position", "velocity"});
+}
+
+std::vector<hardware_interface::CommandInterface::SharedPtr>
+HpidController::on_export_reference_interfaces_list()
+{
+  std::vector<hardware_interface::CommandInterface::SharedPtr> found;
+  for (const auto & name : names_) {
+    for (const auto * kind : {"position", "velocity"}) {
+      const auto prefix = std::string(get_node()->get_name()) + "/" + name;
+      found.push_back(std::make_shared<hardware_interface::CommandInterface>(prefix, kind));
+    }
+  }
+  return found;
+}
+
+bool HpidController::on_set_chained_mode(bool is_chained)
+{
+  is_chained_ = is_chained;
+  return true;
+}
+
+controller_interface::return_type HpidController::update_reference_from_subscribers(
+  const rclcpp::Time &, const rclcpp::Duration &)
+{
+  return controller_interface::return_type::OK;  // each joint takes up its own motions
+}
+
+controller_interface::return_type HpidController::update_and_write_commands(
+  const rclcpp::Time & time, const rclcpp::Duration &)
+{
+  const std::size_t kinds = has_velocities_ ? 2 : 1;
+  const bool is_chained = is_in_chained_mode();
+  Cycle * cycle = cycles_.back();
+  for (std::size_t i = 0; i < joints_.size(); ++i) {
+    const auto position = state_interfaces_[kinds * i].get_optional();
+    const auto velocity = state_interfaces_[kinds * i + kinds - 1].get_optional();
+    Reference reference;
+    if (is_chained) {
+      const auto & given = ordered_exported_reference_interfaces_;
+      reference.position = given[2 * i]->get_optional().value_or(kNaN);
+      reference.velocity = given[2 * i + 1]->get_optional().value_or(kNaN);
+    }
+    Record record;
+    if (position && velocity) {
+      record = joints_[i]->joint().step(
+        time.nanoseconds(), *position, has_velocities_ ? &*velocity : nullptr,
+        is_chained ? &reference : nullptr);
+      std::ignore = command_interfaces_[i].set_value(record.effort);
+    } else {  // the handle is another thread's for this instant: the effort stays
+      unreadable_.fetch_add(1, std::memory_order_relaxed);
+    }
+    if (cycle != nullptr) {
+      (*cycle)[i] = record;
+    }
+  }
+  if (cycle != nullptr) {
+    cycles_.push();
+  } else {
+    lost_.fetch_add(1, std::memory_order_relaxed);
+  }
+  return controller_interface::return_type::OK;
+}
+
+void HpidController::on_timer()
+{
+  for (const auto & joint : joints_) {
+    joint->follow_lifecycle();
+  }
+  while (const Cycle * cycle = cycles_.front()) {
+    publish(*cycle);
+    cycles_.pop();
+  }
+  if (ticks_++ % kReportsEvery == 0) {
+    report();
+  }
+}
+
+/// The messages are those of hpid_ros; an answer also has the reference that was asked for, from
+/// which `hpid replay` computes it again.
+void HpidController::publish(const Cycle & cycle)
+{
+  Message states, answers;
+  answers.header.frame_id = get_node()->get_fully_qualified_name();
+  for (std::size_t i = 0; i < cycle.size(); ++i) {
+    const Record & record = cycle[i];
+    if (record.kind == Record::Kind::kNothing) {
+      continue;
+    }
+    if (record.kind != Record::Kind::kAnswer) {  // beside the state that was answered last
+      Message alone;
+      const bool is_left = record.kind == Record::Kind::kLeft;
+      alone.header.frame_id = answers.header.frame_id;
+      alone.header.stamp = rclcpp::Time(record.stamp_ns + (is_left ? 0 : 1));
+      alone.name = {names_[i]};
+      alone.effort = {record.effort};
+      send(*commands_, alone);
+      continue;
+    }
+    answers.header.stamp = rclcpp::Time(record.stamp_ns);
+    answers.name.push_back(names_[i]);
+    answers.position.push_back(record.asked.position);
+    answers.velocity.push_back(record.asked.velocity);
+    answers.effort.push_back(record.effort);
+    states.name.push_back(names_[i]);
+    states.position.push_back(record.position);
+    if (has_velocities_) {
+      states.velocity.push_back(record.velocity);
+    }
+    joints_[i]->introspect(record);
+  }
+  states.header.stamp = answers.header.stamp;
+  if (!states.name.empty()) {
+    send(*states_, states);
+    send(*commands_, answers);
+  }
+}
+
+void HpidController::send(rclcpp::Publisher<Message> & publisher, const Message & message)
+{
+  if (publisher.get_subscription_count() > 0) {
+    publisher.publish(message);
+  }
+}
+
+void HpidController::report()
+{
+  Diagnostics message;
+  message.header.stamp = get_node()->now();
+  for (const auto & joint : joints_) {
+    message.status.push_back(joint->status());
+    for (const auto & [key, count] :
+      {std::pair("cycles that nobody heard of", lost_.load()),
+       std::pair("states that could not be read", unreadable_.load())})
+    {
+      message.status.back().values.emplace_back();
+      message.status.back().values.back().key = key;
+      message.status.back().values.back().value = std::to_string(count);
+    }
+  }
+  diagnostics_->publish(message);
+}
+
+}  // namespace {{ package }}
+
+PLUGINLIB_EXPORT_CLASS(
+  {{ package }}::HpidController, controller_interface::ChainableControllerInterface)

@@ -1,0 +1,123 @@
+#include "joint.hpp"
+
+#include <cmath>
+
+namespace {{ package }}
+{
+
+bool Joint::accepts(const Settings & settings)
+{
+  {{ c }}_state trial;
+  return {{ c }}_init(&trial, &settings);
+}
+
+Joint::Joint(const Settings & settings) { {{ c }}_init(&loop_, &settings); }
+
+void Joint::begin()
+{
+  {{ c }}_reset(&loop_);
+  is_controlled_ = true;
+  is_standing_ = is_silent_ = false;
+  if (motion.has_new()) {  // of before
+    motion.take();
+  }
+}
+
+Record Joint::step(
+  std::int64_t stamp_ns, double position, const double * velocity, const Reference * chained)
+{
+  while (const Settings * next = retunings.front()) {
+    {{ c }}_retune(&loop_, next);
+    retunings.pop();
+  }
+  if (!is_enabled.load(std::memory_order_acquire)) {
+    return leave();
+  }
+  if (!is_controlled_) {
+    begin();
+  }
+  Record record;
+  if (is_frozen(stamp_ns, position, velocity)) {
+    if (!is_silent_) {
+      record.kind = Record::Kind::kFallback;
+      silences.fetch_add(1, std::memory_order_relaxed);
+      {{ c }}_supersede(&loop_, loop_.own.coefficients.fallback);
+    }
+    is_silent_ = true;
+    record.stamp_ns = stamp_ns_;
+    record.effort = loop_.effort;
+    return record;
+  }
+  is_silent_ = false;
+  is_standing_ = is_standing_ && stamp_ns >= stamp_ns_;  // else the clock has gone back
+  record.kind = Record::Kind::kAnswer;
+  record.stamp_ns = stamp_ns_ = stamp_ns;
+  record.position = position;
+  record.velocity = velocity != nullptr ? *velocity : kNaN;
+  record.asked = asked_ = asked_for(stamp_ns, position, chained);
+  record.effort = {{ c }}_step(
+    &loop_, stamp_ns, asked_.position, asked_.velocity, position, velocity);
+  record.reference = {loop_.reference_position, loop_.reference_velocity};
+  record.terms[0] = loop_.term_p;
+  record.terms[1] = loop_.term_i;
+  record.terms[2] = loop_.term_d;
+  samples.fetch_add(1, std::memory_order_relaxed);
+  if (loop_.condition == {{ C }}_FAULT) {
+    faults.fetch_add(1, std::memory_order_relaxed);
+  }
+  return record;
+}
+
+Record Joint::leave()
+{
+  Record record;
+  if (is_controlled_) {
+    record.kind = Record::Kind::kLeft;
+    {{ c }}_reset(&loop_);
+  }
+  is_controlled_ = false;
+  record.stamp_ns = stamp_ns_;
+  return record;
+}
+
+/// Whether states have ended: hardware that hears no more repeats its last one. A joint that is said
+/// to move, and whose numbers are the same to the last bit for state_timeout, is such a one. Of a
+/// joint at rest nobody can tell.
+bool Joint::is_frozen(std::int64_t stamp_ns, double position, const double * velocity)
+{
+  const double speed = velocity != nullptr ? *velocity : 0.0;
+  if (
+    speed == 0.0 || position != position_ || speed != velocity_ || !is_standing_ ||
+    stamp_ns < changed_ns_) {
+    changed_ns_ = stamp_ns;
+    position_ = position;
+    velocity_ = speed;
+    return false;
+  }
+  return static_cast<double>(stamp_ns - changed_ns_) * 1e-9 > loop_.settings.state_timeout;
+}
+
+Reference Joint::asked_for(std::int64_t stamp_ns, double position, const Reference * chained)
+{
+  if (!is_standing_ && std::isfinite(position)) {
+    is_standing_ = true;
+    follower_.stand(position);
+    asked_ = {position, 0.0};
+  }
+  if (chained != nullptr) {
+    if (!std::isfinite(chained->position)) {  // nobody has asked for anything, or not any more
+      return {asked_.position, 0.0};
+    }
+    return {chained->position, std::isfinite(chained->velocity) ? chained->velocity : 0.0};
+  }
+  Reference here = follower_.sample(stamp_ns);
+  if (is_standing_ && motion.has_new()) {
+    const auto & its = loop_.own.coefficients;
+    follower_.follow(
+      motion.take(), stamp_ns, here, its.turn, its.lost_turn, loop_.settings.takeover_time);
+    here = follower_.sample(stamp_ns);
+  }
+  return here;
+}
+
+}  // namespace {{ package }}

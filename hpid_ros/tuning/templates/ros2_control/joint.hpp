@@ -1,0 +1,88 @@
+// One joint's loop, from the state of a cycle to the effort that answers it. No ROS.
+#ifndef JOINT_HPP_
+#define JOINT_HPP_
+
+#include <atomic>
+#include <cstdint>
+#include <optional>
+
+#include "handover.hpp"
+#include "{{ c }}.h"
+#include "reference.hpp"
+
+namespace {{ package }}
+{
+
+using Settings = {{ c }}_settings_type;
+
+/// What became of a joint in one cycle.
+struct Record
+{
+  enum class Kind
+  {
+    kNothing,   // it is not controlled
+    kAnswer,    // the loop answered a new state
+    kFallback,  // the first cycle without a new state
+    kLeft       // the first cycle in which it is not controlled any more
+  };
+
+  Kind kind = Kind::kNothing;
+  std::int64_t stamp_ns = 0;  // of the state that was answered last
+  double position = 0.0;      // [rad] measured
+  double velocity = 0.0;      // [rad/s] measured
+  Reference asked;            // for
+  Reference reference;        // the loop's own: gliding, within the stops
+  double terms[3] = {};       // p, i, d [N m]
+  double effort = 0.0;        // [N m]
+};
+
+class Joint
+{
+public:
+  /// Settings must be those that Joint::accepts.
+  explicit Joint(const Settings & settings);
+
+  static bool accepts(const Settings & settings);
+
+  // Called by the thread of the control loop: no locks, no memory, no exceptions.
+
+  /// Begins anew: the joint is held where its next state has it.
+  void begin();
+
+  /// Answers a state. Velocity is nullptr where none is measured; chained is what a preceding
+  /// controller asks for, nullptr for the joint's own motions.
+  Record step(
+    std::int64_t stamp_ns, double position, const double * velocity, const Reference * chained);
+
+  // Called by one other thread.
+
+  Queue<Settings, 16> retunings;  // to be applied, each accepted
+  Newest<Motion> motion;
+  std::atomic<bool> is_enabled = false;  // whether it is controlled while the controller is active
+
+  // Counted for whoever asks.
+
+  std::atomic<std::uint64_t> samples = 0;
+  std::atomic<std::uint64_t> faults = 0;    // states that could not be used
+  std::atomic<std::uint64_t> silences = 0;  // times without a new state
+
+private:
+  Record leave();
+  bool is_frozen(std::int64_t stamp_ns, double position, const double * velocity);
+  Reference asked_for(std::int64_t stamp_ns, double position, const Reference * chained);
+
+  {{ c }}_state loop_;
+  Follower follower_;
+  bool is_controlled_ = false;
+  bool is_standing_ = false;  // the follower has a place
+  bool is_silent_ = false;
+  std::int64_t stamp_ns_ = 0;  // of the last state
+  std::int64_t changed_ns_ = 0;  // of the last one that differed from the one before
+  double position_ = 0.0;
+  double velocity_ = 0.0;
+  Reference asked_;
+};
+
+}  // namespace {{ package }}
+
+#endif  // JOINT_HPP_

@@ -1,0 +1,310 @@
+#include "joint_node.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "certificate.hpp"
+#include "lifecycle_msgs/msg/state.hpp"
+#include "lifecycle_msgs/msg/transition.hpp"
+#include "parameters.hpp"
+
+namespace {{ package }}
+{
+
+namespace
+{
+
+constexpr double kLargest = {{ largest_position|double }};  // of positions and their derivatives
+constexpr std::size_t kMostPoints = 50000;
+
+/// Returns why a joint's column of a trajectory cannot be followed; empty, and the motion, if it can.
+std::string column(
+  const trajectory_msgs::msg::JointTrajectory & message, std::size_t at, Motion & motion)
+{
+  const std::size_t joints = message.joint_names.size();
+  motion.is_setpoint = false;
+  motion.stamp_ns = rclcpp::Time(message.header.stamp).nanoseconds();
+  motion.knots.clear();
+  if (message.points.empty() || message.points.size() > kMostPoints) {
+    return "it has " + std::to_string(message.points.size()) + " points: 1 to " +
+      std::to_string(kMostPoints) + " are allowed";
+  }
+  for (const auto & point : message.points) {
+    const auto number = "point " + std::to_string(motion.knots.size());
+    const auto is_or_none = [joints](const std::vector<double> & values) {
+      return values.empty() || values.size() == joints;
+    };
+    if (
+      point.positions.size() != joints || !is_or_none(point.velocities) ||
+      !is_or_none(point.accelerations)) {
+      return number + " has other than one number for each joint";
+    }
+    Knot knot;
+    knot.time_ns = rclcpp::Duration(point.time_from_start).nanoseconds();
+    knot.position = point.positions[at];
+    knot.velocity = point.velocities.empty() ? kNaN : point.velocities[at];
+    knot.acceleration = point.accelerations.empty() ? kNaN : point.accelerations[at];
+    const auto is_bad = [](const std::vector<double> & values) {
+      return std::any_of(
+        values.begin(), values.end(), [](double value) { return !(std::abs(value) <= kLargest); });
+    };
+    if (is_bad(point.positions) || is_bad(point.velocities) || is_bad(point.accelerations)) {
+      return number + " has a number that is not finite, or beyond 1e9";
+    }
+    const bool is_first = motion.knots.empty();
+    if (is_first ? knot.time_ns < -motion.stamp_ns : knot.time_ns <= motion.knots.back().time_ns) {
+      return "times must increase; " + number + " has " + std::to_string(knot.time_ns) + " ns";
+    }
+    motion.knots.push_back(knot);
+  }
+  return "";
+}
+
+/// Returns which values exclude each other, of settings that the loop does not accept.
+std::string conflict(const Settings & s)
+{
+  constexpr double kNone = {{ largest_motion|double }};  // a limit of motion that is none
+  const bool has_stop = s.position_min > -kNone || s.position_max < kNone;
+  const bool is_semi_implicit = s.discretization != {{ C }}_DISCRETIZATION_EXPLICIT;
+  if (s.u_clamp_min > s.u_clamp_max) {
+    return "u_clamp_min must not exceed u_clamp_max";
+  }
+  if (s.i_clamp_min > s.i_clamp_max) {
+    return "i_clamp_min must not exceed i_clamp_max";
+  }
+  if (s.position_min > s.position_max) {
+    return "position_min must not exceed position_max";
+  }
+  if (s.angle_wraparound && (has_stop || s.multi_turn)) {
+    return "angle_wraparound is not for joints with stops or multi_turn";
+  }
+  if (s.state_timeout < 1.5 * s.control_period) {
+    return "state_timeout must be at least 1.5 times control_period";
+  }
+  if (!(std::abs(s.mu) < 0.5)) {
+    return "mu must be strictly within (-0.5, 0.5)";
+  }
+  if (s.inertia > 0.0 && !(s.gains_p * s.gains_d > s.inertia * s.gains_i)) {
+    return "unstable as a linear PID: p d must exceed i x inertia";
+  }
+  if (is_semi_implicit && !(s.inertia > 0.0)) {
+    return "semi_implicit needs the inertia";
+  }
+  if (s.norm_effort_scale > 0.0 && !(s.gains_p > 0.0 && s.gains_d > 0.0)) {
+    return "norm.effort_scale weighs by gains.p and gains.d: neither may be 0";
+  }
+  return "a value is out of its range, norm.effort_scale is given beside norm.error_scale or "
+         "norm.rate_weight, or the norm has no room below norm.cap";
+}
+
+diagnostic_msgs::msg::KeyValue value(const std::string & key, const std::string & text)
+{
+  diagnostic_msgs::msg::KeyValue found;
+  found.key = key;
+  found.value = text;
+  return found;
+}
+
+}  // namespace
+
+JointNode::JointNode(
+  const std::string & joint, const std::string & space, const rclcpp::NodeOptions & options,
+  const std::atomic<bool> & is_controller_active, const std::atomic<bool> & is_chained)
+: name_(joint),
+  node_(std::make_shared<rclcpp_lifecycle::LifecycleNode>(joint + "_controller", space, options)),
+  parameters_(std::make_unique<ParamListener>(node_)),
+  is_controller_active_(is_controller_active),
+  is_chained_(is_chained)
+{
+  Parameters all;
+  for (const auto & name : kSettings) {
+    all.push_back(node_->get_parameter(name));
+  }
+  settings_ = with(all);
+  const auto params = parameters_->get_params();
+  const auto reason =
+    params.joint == joint ? why_not(settings_) : "parameter joint must be it, not " + params.joint;
+  if (!reason.empty()) {
+    throw std::invalid_argument(joint + ": " + reason);
+  }
+  joint_ = std::make_unique<Joint>(settings_);
+
+  on_set_ = node_->add_on_set_parameters_callback(
+    [this](const Parameters & changes) { return allow(changes); });
+  on_changed_ = node_->add_post_set_parameters_callback(
+    [this](const Parameters & changes) {
+      settings_ = with(changes);
+      if (auto * place = joint_->retunings.back()) {
+        *place = settings_;
+        joint_->retunings.push();
+      }
+    });
+  node_->register_on_activate([this](const rclcpp_lifecycle::State &) {
+    const bool may = is_controller_active_.load();
+    joint_->is_enabled = may;
+    if (!may) {
+      refuse("cannot be activated: the controller of ros2_control is not active");
+    }
+    return may ? Transition::SUCCESS : Transition::FAILURE;
+  });
+  node_->register_on_deactivate([this](const rclcpp_lifecycle::State &) {
+    joint_->is_enabled = false;
+    return Transition::SUCCESS;
+  });
+  node_->configure();
+
+  const auto deep = rclcpp::QoS(params.introspection_rate < 0.0 ? 4000 : 10);
+  using sensor_msgs::msg::JointState;
+  reference_ = rclcpp::create_publisher<JointState>(node_, "~/reference", deep);
+  terms_ = rclcpp::create_publisher<JointState>(node_, "~/terms", deep);
+  trajectories_ = node_->create_subscription<trajectory_msgs::msg::JointTrajectory>(
+    "joint_trajectory", rclcpp::QoS(1).transient_local(),
+    [this](const trajectory_msgs::msg::JointTrajectory & message) { on_trajectory(message); });
+  setpoints_ = node_->create_subscription<std_msgs::msg::Float64>(
+    "~/setpoint", rclcpp::QoS(10),
+    [this](const std_msgs::msg::Float64 & message) { on_setpoint(message.data); });
+}
+
+Settings JointNode::with(const Parameters & changes) const
+{
+  Settings settings = settings_;
+  for (const auto & each : changes) {
+    assign(settings, each);
+  }
+  return settings;
+}
+
+std::string JointNode::why_not(const Settings & settings) const
+{
+  if (!Joint::accepts(settings)) {
+    return conflict(settings);
+  }
+  return refusal(name_, settings);
+}
+
+rcl_interfaces::msg::SetParametersResult JointNode::allow(const Parameters & changes)
+{
+  rcl_interfaces::msg::SetParametersResult result;
+  result.reason = why_not(with(changes));
+  if (result.reason.empty() && joint_->retunings.back() == nullptr) {
+    result.reason = "sets come faster than the control loop takes them";
+  }
+  result.successful = result.reason.empty();
+  return result;
+}
+
+void JointNode::on_trajectory(const trajectory_msgs::msg::JointTrajectory & message)
+{
+  const auto & names = message.joint_names;
+  const auto found = std::find(names.begin(), names.end(), name_);
+  if (found == names.end() || !may_move("a trajectory")) {
+    return;
+  }
+  const auto at = static_cast<std::size_t>(found - names.begin());
+  auto reason = column(message, at, joint_->motion.slot());
+  if (std::count(names.begin(), names.end(), name_) > 1) {
+    reason = "it names the joint twice";
+  }
+  if (!reason.empty()) {
+    refuse("trajectory refused: " + reason);
+    return;
+  }
+  joint_->motion.publish();
+}
+
+void JointNode::on_setpoint(double position)
+{
+  if (!may_move("a setpoint")) {
+    return;
+  }
+  if (!(std::abs(position) <= kLargest)) {
+    refuse("setpoint refused: it is not finite, or beyond 1e9");
+    return;
+  }
+  Motion & motion = joint_->motion.slot();
+  motion.knots.assign(1, Knot());
+  motion.knots.front().position = position;
+  motion.stamp_ns = 0;
+  motion.is_setpoint = true;
+  joint_->motion.publish();
+}
+
+bool JointNode::may_move(const char * what)
+{
+  if (is_chained_) {
+    refuse(std::string(what) + " refused: another controller gives the references");
+    return false;
+  }
+  if (!joint_->is_enabled) {
+    refuse(std::string(what) + " refused: the joint is not active");
+    return false;
+  }
+  return true;
+}
+
+void JointNode::refuse(const std::string & line)
+{
+  last_fault_ = line;
+  ++refused_;
+  RCLCPP_WARN(node_->get_logger(), "%s", line.c_str());
+}
+
+void JointNode::follow_lifecycle()
+{
+  using lifecycle_msgs::msg::State;
+  using lifecycle_msgs::msg::Transition;
+  const auto state = node_->get_current_state().id();
+  const bool is_enabled = joint_->is_enabled;
+  if (is_enabled && state == State::PRIMARY_STATE_INACTIVE) {
+    node_->activate();
+  } else if (!is_enabled && state == State::PRIMARY_STATE_ACTIVE) {
+    node_->deactivate();
+  }
+}
+
+void JointNode::introspect(const Record & record)
+{
+  const double rate = parameters_->get_params().introspection_rate;
+  const auto period_ns = rate > 0.0 ? static_cast<std::int64_t>(1e9 / rate) : 0;
+  const auto since_ns = record.stamp_ns - introspected_ns_;
+  if (rate == 0.0 || (since_ns >= 0 && since_ns < period_ns)) {
+    return;
+  }
+  introspected_ns_ = record.stamp_ns;
+  sensor_msgs::msg::JointState message;
+  message.header.stamp = rclcpp::Time(record.stamp_ns);
+  message.name = {name_};
+  message.position = {record.reference.position};
+  message.velocity = {record.reference.velocity};
+  reference_->publish(message);
+  message.name = {"p", "i", "d", "feedforward"};
+  message.position.clear();
+  message.velocity.clear();
+  message.effort = {record.terms[0], record.terms[1], record.terms[2], 0.0};
+  terms_->publish(message);
+}
+
+diagnostic_msgs::msg::DiagnosticStatus JointNode::status() const
+{
+  using diagnostic_msgs::msg::DiagnosticStatus;
+  DiagnosticStatus found;
+  const auto state = node_->get_current_state();
+  found.name = node_->get_fully_qualified_name();
+  found.hardware_id = name_;
+  found.level = refused_ > 0 || joint_->faults > 0 ? DiagnosticStatus::WARN : DiagnosticStatus::OK;
+  found.message = state.label();
+  found.values = {
+    value("lifecycle", state.label()),
+    value("law", settings_.law == {{ C }}_LAW_PID ? "pid" : "hpid"),
+    value("degree mu", std::to_string(settings_.mu)),
+    value("certified degrees", "by the certificate of {{ package }}"),
+    value("samples", std::to_string(joint_->samples)),
+    value("silences", std::to_string(joint_->silences)),
+    value("rejected samples", std::to_string(joint_->faults)),
+    value("refused references", std::to_string(refused_)),
+    value("last fault", last_fault_)};
+  return found;
+}
+
+}  // namespace {{ package }}

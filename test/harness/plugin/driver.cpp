@@ -1,0 +1,194 @@
+// What a test calls of an exported controller, by ctypes.
+#include <cstring>
+
+#include "controller.hpp"
+
+using {{ package }}::HpidController;
+using rclcpp_lifecycle::LifecycleNode;
+using rclcpp_lifecycle::State;
+
+namespace
+{
+
+const State kBefore(1, "unconfigured");
+
+const char * kept(const std::string & text)
+{
+  static std::string last;
+  last = text;
+  return last.c_str();
+}
+
+template <typename Message>
+void send(const char * topic, const Message & message)
+{
+  const auto [first, last] = rclcpp::graph().subscriptions.equal_range(topic);
+  for (auto each = first; each != last; ++each) {
+    each->second(&message);
+  }
+}
+
+bool is_good(HpidController::CallbackReturn result)
+{
+  return result == HpidController::CallbackReturn::SUCCESS;
+}
+
+}  // namespace
+
+extern "C" {
+
+/// Returns a configured controller, nullptr if it refuses.
+HpidController * make(bool is_chained)
+{
+  rclcpp::graph().subscriptions.clear();
+  rclcpp::graph().timers.clear();
+  rclcpp::graph().log.clear();
+  rclcpp::graph().joint_states.clear();
+  auto * controller = new HpidController;
+  if (!is_good(controller->on_init()) || !is_good(controller->on_configure(kBefore))) {
+    delete controller;
+    return nullptr;
+  }
+  controller->prepare(is_chained);
+  return controller;
+}
+
+void destroy(HpidController * controller) { delete controller; }
+
+bool activate(HpidController * c) { return is_good(c->on_activate(kBefore)); }
+
+bool deactivate(HpidController * c) { return is_good(c->on_deactivate(kBefore)); }
+
+bool cleanup(HpidController * c) { return is_good(c->on_cleanup(kBefore)); }
+
+/// One cycle. Numbers of the joints: position and velocity of each; what comes of it: the efforts.
+void update(HpidController * c, std::int64_t stamp_ns, const double * states, double * efforts)
+{
+  for (auto & each : c->state_interfaces_) {
+    each.set_value(*states++);
+  }
+  const rclcpp::Time time(stamp_ns);
+  c->update_reference_from_subscribers(time, time);
+  c->update_and_write_commands(time, time);
+  for (const auto & each : c->command_interfaces_) {
+    *efforts++ = *each.get_optional();
+  }
+}
+
+void ask(HpidController * c, const double * references)
+{
+  for (const auto & each : c->ordered_exported_reference_interfaces_) {
+    each->set_value(*references++);
+  }
+}
+
+void set_busy(HpidController * c, bool is_busy) { c->state_interfaces_.front().is_busy = is_busy; }
+
+void tick()
+{
+  for (const auto & each : rclcpp::graph().timers) {
+    each();
+  }
+}
+
+void override_number(const char * node, const char * name, double value)
+{
+  rclcpp::graph().overrides[node].insert_or_assign(name, value);
+}
+
+void override_text(const char * node, const char * name, const char * value)
+{
+  rclcpp::graph().overrides[node].insert_or_assign(name, std::string(value));
+}
+
+void override_flag(const char * node, const char * name, bool value)
+{
+  rclcpp::graph().overrides[node].insert_or_assign(name, value);
+}
+
+/// Returns why numbers are refused, empty if they are taken.
+const char * set_numbers(
+  const char * node, const char * const * names, const double * values, int count)
+{
+  LifecycleNode::Parameters changes;
+  for (int k = 0; k < count; ++k) {
+    changes.emplace_back(names[k], values[k]);
+  }
+  return kept(LifecycleNode::all().at(node)->set(changes));
+}
+
+const char * transition(const char * node, const char * which)
+{
+  auto * found = LifecycleNode::all().at(node);
+  return kept(
+    (std::strcmp(which, "activate") == 0 ? found->activate() : found->deactivate()).label());
+}
+
+const char * lifecycle(const char * node)
+{
+  return kept(LifecycleNode::all().at(node)->get_current_state().label());
+}
+
+void setpoint(const char * topic, double position)
+{
+  std_msgs::msg::Float64 message;
+  message.data = position;
+  send(topic, message);
+}
+
+/// Positions, velocities and accelerations of a joint: NaN for none at all.
+void trajectory(
+  const char * topic, const char * joint, std::int64_t stamp_ns, int points,
+  const std::int64_t * times_ns, const double * positions, const double * velocities,
+  const double * accelerations)
+{
+  trajectory_msgs::msg::JointTrajectory message;
+  message.header.stamp = rclcpp::Time(stamp_ns);
+  message.joint_names = {joint};
+  for (int k = 0; k < points; ++k) {
+    trajectory_msgs::msg::JointTrajectoryPoint point;
+    point.time_from_start = rclcpp::Time(times_ns[k]);
+    point.positions = {positions[k]};
+    if (velocities != nullptr) {
+      point.velocities = {velocities[k]};
+    }
+    if (accelerations != nullptr) {
+      point.accelerations = {accelerations[k]};
+    }
+    message.points.push_back(point);
+  }
+  send(topic, message);
+}
+
+/// Takes the oldest message of a topic of joint states: its joints, nullptr if there is none; its
+/// stamp, and three numbers of each joint, NaN for none.
+const char * take(const char * topic, std::int64_t * stamp_ns, double * numbers)
+{
+  auto & waiting = rclcpp::graph().joint_states[topic];
+  if (waiting.empty()) {
+    return nullptr;
+  }
+  const auto message = waiting.front();
+  waiting.erase(waiting.begin());
+  *stamp_ns = rclcpp::Time(message.header.stamp).nanoseconds();
+  std::string names;
+  for (std::size_t k = 0; k < message.name.size(); ++k) {
+    names += message.name[k] + " ";
+    for (const auto * each : {&message.position, &message.velocity, &message.effort}) {
+      *numbers++ = k < each->size() ? (*each)[k] : {{ package }}::kNaN;
+    }
+  }
+  return kept(names);
+}
+
+const char * logged()
+{
+  std::string all;
+  for (const auto & line : rclcpp::graph().log) {
+    all += line + "\n";
+  }
+  rclcpp::graph().log.clear();
+  return kept(all);
+}
+
+}  // extern "C"

@@ -1,0 +1,500 @@
+"""The package for ros2_control: its controller answers as Python's loop does."""
+
+import json
+import math
+import random
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+from harness.bags import JOINT_STATE
+from harness.c_loops import states_by_chance
+from harness.loops import loop_settings
+from harness.plugins import PACKAGE, Plugin, compile_plugin, export, run_threads
+
+from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.control.homogeneous_pid import Gains
+from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.experiment.in_process import controllers_document, controllers_text
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.stability.certification import check_certificate
+from hpid_ros.stability.closed_loop import Certificate
+from hpid_ros.stability.gain_boxes import gain_ranges
+from hpid_ros.stability.gain_check import CERTIFICATES, verify
+from hpid_ros.tuning.c_export import GivenLoop
+from hpid_ros.tuning.plugin_export import require_package
+from hpid_ros.tuning.recorded_loops import read_records
+from hpid_ros.tuning.replay import replay_joint
+
+pytestmark = pytest.mark.slow  # it compiles and certifies
+MS = 1_000_000
+ELBOW = {
+    "joint": "elbow",
+    "gains__p": 39.6,
+    "gains__i": 132.0,
+    "gains__d": 3.96,
+    "mu": -0.1,
+    "norm__error_scale": 0.08,
+    "norm__rate_weight": 1.2,
+    "inertia": 0.1,
+    "u_clamp_max": 20.0,
+    "u_clamp_min": -20.0,
+    "fallback_effort": 0.25,
+    "position_max": 1.5,
+    "position_min": -1.5,
+    "velocity_max": 30.0,
+}
+WRIST = {
+    "joint": "wrist",
+    "law": "pid",
+    "gains__p": 12.0,
+    "gains__i": 5.0,
+    "gains__d": 1.5,
+    "inertia": 0.05,
+    "velocity_source": "filtered",
+}
+LOOPS = [loop_settings(**ELBOW), loop_settings(**WRIST)]
+NAMES = ["elbow", "wrist"]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plugin")
+    export(folder, LOOPS)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def library(exported):
+    return compile_plugin(exported)
+
+
+@pytest.fixture
+def parameters():
+    """What a controller's nodes read from config/joints.yaml."""
+    document = controllers_document(LOOPS)
+    found = {}
+    for joint in NAMES:
+        nested = document[f"/**/{joint}_controller"]["ros__parameters"]
+        found[joint] = dict(_flat(nested))
+    return found
+
+
+def _flat(values, prefix=""):
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+@pytest.fixture
+def make(library, parameters):
+    """Return what makes an active controller."""
+    made = []
+
+    def start(*, is_chained=False, **changes):
+        own = {joint: {**values, **changes.get(joint, {})} for joint, values in parameters.items()}
+        plugin = Plugin(library, NAMES, is_chained=is_chained, **own)
+        made.append(plugin)
+        return plugin
+
+    yield start
+    for each in made:
+        each.__exit__()
+
+
+@pytest.fixture
+def active(make):
+    plugin = make()
+    assert plugin.is_configured, plugin.log
+    assert plugin.activate()
+    return plugin
+
+
+def test_a_chained_controller_answers_as_python_does_to_the_last_bit(make):
+    plugin = make(is_chained=True)
+    assert plugin.activate()
+    given = [GivenLoop(each) for each in LOOPS]
+    for stamp_ns, reference, rate, position, velocity in states_by_chance(
+        random.Random(5), 20_000, 1e-3
+    ):
+        if not all(map(math.isfinite, (reference, rate))):
+            continue  # the joint is held then, and no state is one that cannot be used
+        speed = math.nan if velocity is None else velocity
+        plugin.ask((reference, rate), (reference, rate))
+        efforts = plugin.update(stamp_ns, (position, speed), (position, speed))
+        wanted = [each.step(stamp_ns, reference, rate, position, speed) for each in given]
+        assert efforts == wanted
+
+
+class Cycle:
+    """A controller that is called each millisecond with a state that moves a little."""
+
+    def __init__(self, plugin):
+        self.plugin, self.stamp_ns, self.position = plugin, 1_000_000_000, 0.1
+
+    def __call__(self, count=1, by=1e-5, speed=0.01):
+        for _ in range(count):
+            self.stamp_ns += MS
+            self.position += by
+            efforts = self.plugin.update(self.stamp_ns, *[(self.position, speed)] * 2)
+        return efforts
+
+
+def test_the_joints_are_held_where_they_are(active):
+    cycle = Cycle(active)
+    assert cycle(3, by=0.0, speed=0.0) == [0.0, 0.0]
+    assert all(effort < 0.0 for effort in cycle(1, by=1e-3))
+
+
+def test_states_that_have_ended_give_the_fallback_and_then_a_takeover_as_pythons(active):
+    cycle, given = Cycle(active), GivenLoop(LOOPS[0])
+    held = cycle.position + 1e-5
+
+    def both(count, by):
+        for _ in range(count):
+            found = cycle(1, by=by)[0]
+            wanted = given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
+            assert found == wanted
+
+    both(50, by=1e-5)
+    both(100, by=0.0)  # within state_timeout
+    assert given.loop.note_timeout() == 0.25
+    for _ in range(30):
+        assert cycle(1, by=0.0)[0] == 0.25
+    both(200, by=1e-5)
+    # A joint at rest says the same for ever, and is believed.
+    assert cycle(500, by=0.0, speed=0.0)[0] != 0.25
+
+
+def test_what_is_no_number_gives_the_fallback(active):
+    cycle = Cycle(active)
+    cycle(5)
+    assert cycle(1, speed=math.nan)[0] == 0.25
+    assert cycle(1, by=math.inf) == [0.25, 0.0]
+
+
+def test_a_state_that_another_thread_has_for_an_instant_leaves_the_effort(active):
+    cycle = Cycle(active)
+    before = cycle(5)
+    active.set_busy(True)
+    after = cycle(1)
+    assert after[0] == before[0]
+    assert after[1] != before[1]
+
+
+def test_what_is_left_gets_no_effort_and_is_held_again_where_it_is_then(active):
+    cycle = Cycle(active)
+    assert cycle(5)[0] != 0.0
+    assert active.deactivate()
+    active.tick()
+    assert active.lifecycle("elbow") == "inactive"
+    assert active.activate()
+    active.tick()
+    assert active.lifecycle("elbow") == "active"
+    cycle.position = 0.7
+    assert cycle(1, speed=0.0) == [0.0, 0.0]
+
+
+def test_one_joint_is_left_alone_and_the_others_go_on(active):
+    cycle = Cycle(active)
+    cycle(5)
+    active.tick()
+    assert active.transition("elbow", "deactivate") == "inactive"
+    elbow, wrist = cycle(1)
+    assert elbow == 0.0
+    assert wrist != 0.0
+    assert active.transition("elbow", "activate") == "active"
+    assert cycle(1, speed=0.0)[0] == 0.0
+    active.deactivate()
+    active.tick()
+    assert active.transition("elbow", "activate") == "inactive"
+    assert "cannot be activated" in active.told()
+
+
+def test_a_set_is_taken_from_the_next_cycle_on_as_python_takes_it(make):
+    plugin = make(is_chained=True)
+    plugin.activate()
+    given, chance = GivenLoop(LOOPS[0]), random.Random(3)
+    for number, (stamp_ns, *numbers) in enumerate(states_by_chance(chance, 600, 1e-3)):
+        if number in (200, 400):
+            gains = {"gains.p": 41.0, "gains.d": 4.1} if number == 200 else {"mu": -0.15}
+            changes = {name.replace(".", "__"): value for name, value in gains.items()}
+            assert plugin.set("elbow", **changes) == ""
+            given.loop.retune(given.loop.settings.with_parameters(gains))
+        reference, rate, position, velocity = numbers
+        if not all(map(math.isfinite, (reference, rate))):
+            continue
+        speed = math.nan if velocity is None else velocity
+        plugin.ask((reference, rate), (0.0, 0.0))
+        effort = plugin.update(stamp_ns, (position, speed), (0.0, 0.0))[0]
+        assert effort == given.step(stamp_ns, reference, rate, position, speed)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"gains__p": 80.0}, "not certified with gains 80, 132, 3.96"),
+        ({"gains__p": 10.0, "gains__d": 1.0}, "p d must exceed i x inertia"),
+        ({"mu": 0.4}, "not certified at mu = 0.4: certified are"),
+        ({"u_clamp_min": 30.0}, "u_clamp_min must not exceed u_clamp_max"),
+        ({"state_timeout": 0.001}, "1.5 times control_period"),
+        ({"norm__floor": 1e6}, "no room below norm.cap"),
+    ],
+)
+def test_what_the_certificate_or_the_loop_does_not_allow_is_refused_as_a_whole(
+    active, changes, reason
+):
+    cycle, given = Cycle(active), GivenLoop(LOOPS[0])
+    assert reason in active.set("elbow", **changes, fallback_effort=0.5)
+    held = cycle.position + 1e-5
+    for _ in range(20):
+        found = cycle(1)[0]
+        assert found == given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
+    assert cycle(1, speed=math.nan)[0] == 0.25
+
+
+def test_a_linear_joint_may_have_all_gains_that_are_stable(active):
+    assert active.set("wrist", gains__p=500.0, gains__d=0.06) == ""
+    assert "p d must exceed" in active.set("wrist", gains__d=4e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"gains.p": 80.0}, "elbow: not certified with gains 80"),
+        ({"joint": "shoulder"}, "elbow: parameter joint must be it, not shoulder"),
+        ({"position_min": 2.0}, "elbow: position_min must not exceed position_max"),
+    ],
+)
+def test_a_parameter_file_that_is_not_certified_is_not_configured(make, changes, reason):
+    plugin = make(elbow=changes)
+    assert not plugin.is_configured
+    assert reason in plugin.log
+
+
+def test_certificates_that_are_not_those_of_the_export_are_refused(make, exported):
+    file = exported / "config" / "certificates.json"
+    content = file.read_text()
+    try:
+        file.write_text(content.replace("0", "1", 1))
+        assert "not the one with which this package was exported" in make().log
+        file.unlink()
+        assert "cannot be read" in make().log
+    finally:
+        file.write_text(content)
+    assert make().is_configured
+
+
+def reference_of(plugin, joint, stamp_ns, states):
+    """Return what a joint's loop followed in a cycle."""
+    plugin.update(stamp_ns, *states)
+    plugin.tick()
+    *_, (_, rows) = plugin.taken(f"{joint}_controller/reference")
+    return rows[joint][:2]
+
+
+@pytest.mark.parametrize("derivatives", [0, 1, 2])
+@pytest.mark.parametrize("stamp_ns", [0, 5 * MS, -300 * MS])
+def test_a_trajectory_is_followed_as_python_follows_it(active, derivatives, stamp_ns):
+    chance = random.Random(derivatives)
+    times_ns = [100 * MS, 250 * MS, 700 * MS, 1000 * MS]
+    columns = [[chance.uniform(-0.5, 0.5) for _ in times_ns] for _ in range(derivatives + 1)]
+    start_ns, rest = 10**9, [((0.1, 0.0))] * 2
+    own = start_ns + stamp_ns if stamp_ns else 0
+    points = [
+        TrajectoryPoint(time_ns, *((column[k],) for column in columns))
+        for k, time_ns in enumerate(times_ns)
+    ]
+    loop = GivenLoop(LOOPS[0]).loop.__class__(LOOPS[0])
+    active.update(start_ns, *rest)
+    loop.step(start_ns, 0.1, 0.0)
+    active.trajectory("elbow", own, times_ns, *columns)
+    loop.follow(JointTrajectory(("elbow",), tuple(points), own).column("elbow"))
+    for k in range(1, 1200):
+        now_ns = start_ns + k * MS
+        found = reference_of(active, "elbow", now_ns, rest)
+        loop.step(now_ns, 0.1, 0.0)
+        assert found == pytest.approx(loop.reference, abs=1e-12)
+
+
+def test_a_new_trajectory_begins_where_the_reference_is(active):
+    rest, now_ns = [(0.1, 0.0)] * 2, 10**9
+    before = reference_of(active, "elbow", now_ns, rest)
+    active.trajectory("elbow", 0, [500 * MS], [1.0], [0.0])
+    for k in range(1, 900):
+        if k == 300:
+            active.trajectory("elbow", 0, [400 * MS], [-0.4], [0.0])
+        found = reference_of(active, "elbow", now_ns + k * MS, rest)
+        assert found[0] == pytest.approx(before[0] + 1e-3 * before[1], abs=5e-5)
+        before = found
+    assert found == (-0.4, 0.0)
+
+
+def test_a_setpoint_is_a_step(active):
+    rest = [(0.1, 0.0)] * 2
+    assert reference_of(active, "elbow", 10**9, rest) == (0.1, 0.0)
+    active.setpoint("elbow", 0.4)
+    assert reference_of(active, "elbow", 10**9 + MS, rest) == (0.4, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("times_ns", "columns", "reason"),
+    [
+        ([], [[]], "0 points"),
+        ([MS, MS], [[0.1, 0.2]], "times must increase; point 1"),
+        ([MS], [[math.nan]], "not finite"),
+        ([MS], [[2.0 * LARGEST_POSITION]], "beyond 1e9"),
+        ([MS], [[0.1], [math.inf]], "not finite"),
+    ],
+)
+def test_a_trajectory_that_is_none_is_refused_and_the_joint_is_held(
+    active, times_ns, columns, reason
+):
+    rest = [(0.1, 0.0)] * 2
+    active.update(10**9, *rest)
+    active.trajectory("elbow", 0, times_ns, *columns)
+    assert reason in active.told()
+    assert reference_of(active, "elbow", 10**9 + MS, rest) == (0.1, 0.0)
+
+
+def test_references_are_refused_while_nobody_may_give_them(make):
+    plugin = make()
+    plugin.setpoint("elbow", 0.4)
+    assert "a setpoint refused: the joint is not active" in plugin.told()
+    chained = make(is_chained=True)
+    chained.activate()
+    chained.trajectory("elbow", 0, [MS], [0.3])
+    assert "another controller gives the references" in chained.told()
+
+
+def test_a_preceding_controller_that_asks_for_nothing_has_the_joint_held(make):
+    plugin = make(is_chained=True)
+    plugin.activate()
+    assert Cycle(plugin)(5, by=0.0, speed=0.0) == [0.0, 0.0]
+
+
+def test_every_command_of_a_recording_is_the_laws(active, tmp_path):
+    """Retuned, left, frozen and led: what the controller published, computed again."""
+    cycle = Cycle(active)
+    chance = random.Random(2)
+    for k in range(3000):
+        if k == 200:
+            active.trajectory("elbow", 0, [500 * MS, 900 * MS], [0.5, 0.1], [0.0, 0.0])
+            active.setpoint("wrist", 0.3)
+        if k == 1200:
+            active.tick()
+            active.transition("elbow", "deactivate")
+        if k == 1300:
+            active.transition("elbow", "activate")
+        if k == 2400:
+            active.deactivate()
+            active.activate()
+        still = 1800 <= k < 1950
+        cycle(1, by=0.0 if still else chance.gauss(0.0, 1e-4), speed=0.3)
+        active.tick()
+    write_plugin_bag(tmp_path / "bag", active)
+    parameters = tmp_path / "joints.yaml"
+    parameters.write_text(controllers_text(LOOPS))
+    records, notes = read_records(tmp_path / "bag", parameters)
+    verdicts = [replay_joint(each) for each in records]
+    assert not notes
+    assert [each.joint for each in verdicts] == NAMES
+    for each in verdicts:
+        assert each.is_the_law, each
+        assert each.fallbacks == 1
+    assert verdicts[0].zeros == 2
+    assert verdicts[1].equal > 2800
+
+
+def write_plugin_bag(path, plugin):
+    """Record what a controller has published until now."""
+    sender = "/hpid_controller"
+    log = []
+    for topic in ("joint_states", "joint_commands"):
+        for stamp_ns, rows in plugin.taken(topic):
+            columns = [list(each) for each in zip(*rows.values(), strict=True)]
+            present = {
+                name: column
+                for name, column in zip(("position", "velocity", "effort"), columns, strict=True)
+                if not any(map(math.isnan, column))
+            }
+            has = dict.fromkeys(present, True)
+            template = JointStateTemplate(list(rows), frame_id=sender, **has)
+            log.append((stamp_ns, topic, template.encode(stamp_ns, **present)))
+    with BagWriter(path) as bag:
+        topics = {
+            name: bag.add_topic(f"{sender}/{name}", JOINT_STATE)
+            for name in ("joint_states", "joint_commands")
+        }
+        for stamp_ns, name, raw in sorted(log, key=lambda each: each[0]):
+            bag.write(topics[name], stamp_ns, raw)
+
+
+@pytest.mark.parametrize("sanitizer", ["thread", "address,undefined"])
+def test_the_sanitizers_find_nothing_while_both_threads_are_busy(exported, parameters, sanitizer):
+    found = run_threads(exported, parameters, sanitizer)
+    assert (found.returncode, found.stderr) == (0, "")
+
+
+def test_every_certificate_of_the_package_holds(exported):
+    document = json.loads((exported / "config" / "certificates.json").read_text())
+    saved = document[CERTIFICATES]
+    assert len(saved) > 8
+    for name in random.Random(1).sample(sorted(saved), 12):
+        assert verify(saved[name]).holds, name
+
+
+def test_gains_within_a_box_are_certified_by_its_p_and_far_beyond_it_are_not():
+    loop = loop_settings(**WRIST, norm__effort_scale=3.0)
+    (found,) = gain_ranges([(loop, (0.045, 0.05))])
+    chance = random.Random(4)
+    assert found.contains(0.0)
+    assert str(found).startswith("mu -0.")
+    for box in found.boxes:
+        span = box.corners[0].spans[0]
+        for _ in range(3):
+            gains = Gains(*(chance.uniform(*each) for each in (box.p, box.i, box.d)))
+            inside = replace(span, inertia=chance.uniform(0.045, 0.05))
+            check_certificate(Certificate(gains, (inside,)))
+        far = Gains(0.2 * box.p[0], 3.0 * box.i[1], 0.2 * box.d[0])
+        with pytest.raises(GainError):
+            check_certificate(Certificate(far, (span,)))
+
+
+def test_a_loop_that_is_not_certified_is_not_exported():
+    loop = loop_settings(**{**ELBOW, "gains__i": 1500.0, "mu": -0.45})
+    with pytest.raises(GainError, match=r"elbow is not certified at mu = -0.45"):
+        gain_ranges([(loop, (0.1, 0.1))])
+
+
+@pytest.mark.parametrize("name", ["My_Controller", "9lives", "a", "my__arm", "arm-controller"])
+def test_a_folder_that_is_no_package_is_refused(name):
+    with pytest.raises(SettingError, match="cannot be the name of a package"):
+        require_package(name, NAMES)
+
+
+def test_a_joint_that_cannot_have_a_node_is_refused():
+    with pytest.raises(SettingError, match="'left/elbow' cannot have a node"):
+        require_package(PACKAGE, ["left/elbow"])
+
+
+def test_the_package_says_the_same_of_itself_everywhere(exported):
+    assert ElementTree.parse(exported / "package.xml").findtext("name") == PACKAGE
+    plugin = ElementTree.parse(exported / f"{PACKAGE}.xml").getroot()
+    assert plugin.get("path") == PACKAGE
+    controllers = yaml.safe_load((exported / "config" / "controllers.yaml").read_text())
+    assert controllers["hpid_controller"]["ros__parameters"]["joints"] == NAMES
+    parameters = yaml.safe_load((exported / "src" / "parameters.yaml").read_text())[PACKAGE]
+    assert parameters["gains"]["p"]["validation"] == {"bounds<>": [0.0, 1e6]}
+    assert parameters["compensation"]["validation"] == {"one_of<>": [["none"]]}
+    assert parameters["velocity_source"]["validation"]["one_of<>"][0] == [
+        *("measured", "filtered", "homogeneous_differentiator")
+    ]
+    compile((exported / "launch" / "simulated.launch.py").read_text(), "launch", "exec")
+    left = [path for path in exported.rglob("*") if path.is_file() and b"{{ " in path.read_bytes()]
+    assert [path.name for path in left] == []
