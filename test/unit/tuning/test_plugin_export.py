@@ -171,6 +171,32 @@ def test_states_that_have_ended_give_the_fallback_and_then_a_takeover_as_pythons
     assert cycle(500, by=0.0, speed=0.0)[0] != 0.25
 
 
+@pytest.mark.parametrize("speed", [0.0, 0.01])
+def test_after_a_standstill_of_the_manager_the_state_from_before_is_none(active, speed):
+    """The joint may be elsewhere: a takeover from where it was would become a jump."""
+    cycle, given = Cycle(active), GivenLoop(LOOPS[0])
+    held = cycle.position + 1e-5
+
+    def both(count):
+        for _ in range(count):
+            found = cycle(1)[0]
+            assert found == given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
+
+    both(100)
+    before = cycle(1, speed=speed)[0]
+    assert before == given.step(cycle.stamp_ns, held, 0.0, cycle.position, speed)
+    cycle.stamp_ns += 600 * MS
+    for _ in range(10):
+        assert cycle(1, by=0.0, speed=speed)[0] == before
+    cycle.position += 0.4
+    both(200)
+    # It may also be where it was: that is believed in the end.
+    cycle(1, speed=0.0)
+    cycle.stamp_ns += 600 * MS
+    held = cycle(100, by=0.0, speed=0.0)[0]
+    assert cycle(300, by=0.0, speed=0.0)[0] != held
+
+
 def test_what_is_no_number_gives_the_fallback(active):
     cycle = Cycle(active)
     cycle(5)

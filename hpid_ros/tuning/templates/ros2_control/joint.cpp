@@ -37,13 +37,14 @@ Record Joint::step(
     begin();
   }
   Record record;
-  if (is_frozen(stamp_ns, position, velocity)) {
-    if (!is_silent_) {
+  const Age state = age(stamp_ns, position, velocity);
+  if (state != Age::kNew) {
+    if (state == Age::kEnded && !is_silent_) {
       record.kind = Record::Kind::kFallback;
       silences.fetch_add(1, std::memory_order_relaxed);
       {{ c }}_supersede(&loop_, loop_.own.coefficients.fallback);
+      is_silent_ = true;
     }
-    is_silent_ = true;
     record.stamp_ns = stamp_ns_;
     record.effort = loop_.effort;
     return record;
@@ -80,21 +81,33 @@ Record Joint::leave()
   return record;
 }
 
-/// Whether states have ended: hardware that hears no more repeats its last one. A joint that is said
-/// to move, and whose numbers are the same to the last bit for state_timeout, is such a one. Of a
-/// joint at rest nobody can tell.
-bool Joint::is_frozen(std::int64_t stamp_ns, double position, const double * velocity)
+/// Hardware that hears no more repeats its last state. One in which the joint moves, and whose
+/// numbers stay the same to the last bit for state_timeout, is such a one; of a joint at rest nobody
+/// can tell. Where nobody called for so long, the same state is from before, for that time again.
+Joint::Age Joint::age(std::int64_t stamp_ns, double position, const double * velocity)
 {
   const double speed = velocity != nullptr ? *velocity : 0.0;
-  if (
-    speed == 0.0 || position != position_ || speed != velocity_ || !is_standing_ ||
-    stamp_ns < changed_ns_) {
+  const auto timeout_ns = static_cast<std::int64_t>(loop_.settings.state_timeout * 1e9);
+  const bool is_same = is_standing_ && position == position_ && speed == velocity_;
+  const std::int64_t since_ns = stamp_ns - seen_ns_;
+  seen_ns_ = stamp_ns;
+  if (!is_same || since_ns < 0) {
     changed_ns_ = stamp_ns;
     position_ = position;
     velocity_ = speed;
-    return false;
+    is_woken_ = false;
+    return Age::kNew;
   }
-  return static_cast<double>(stamp_ns - changed_ns_) * 1e-9 > loop_.settings.state_timeout;
+  if (since_ns > timeout_ns) {
+    woken_ns_ = stamp_ns;
+    is_woken_ = true;
+  }
+  if (is_woken_) {
+    is_woken_ = stamp_ns - woken_ns_ <= timeout_ns;
+    changed_ns_ = stamp_ns;
+    return is_woken_ ? Age::kOld : Age::kNew;
+  }
+  return speed != 0.0 && stamp_ns - changed_ns_ > timeout_ns ? Age::kEnded : Age::kNew;
 }
 
 Reference Joint::asked_for(std::int64_t stamp_ns, double position, const Reference * chained)

@@ -20,9 +20,9 @@ struct Record
 {
   enum class Kind
   {
-    kNothing,   // it is not controlled
+    kNothing,   // it is not controlled, or there is no new state: the effort stays
     kAnswer,    // the loop answered a new state
-    kFallback,  // the first cycle without a new state
+    kFallback,  // the first cycle after the states have ended
     kLeft       // the first cycle in which it is not controlled any more
   };
 
@@ -67,8 +67,10 @@ public:
   std::atomic<std::uint64_t> silences = 0;  // times without a new state
 
 private:
+  enum class Age { kNew, kOld, kEnded };
+
   Record leave();
-  bool is_frozen(std::int64_t stamp_ns, double position, const double * velocity);
+  Age age(std::int64_t stamp_ns, double position, const double * velocity);
   Reference asked_for(std::int64_t stamp_ns, double position, const Reference * chained);
 
   {{ c }}_state loop_;
@@ -76,8 +78,11 @@ private:
   bool is_controlled_ = false;
   bool is_standing_ = false;  // the follower has a place
   bool is_silent_ = false;
-  std::int64_t stamp_ns_ = 0;  // of the last state
-  std::int64_t changed_ns_ = 0;  // of the last one that differed from the one before
+  std::int64_t stamp_ns_ = 0;    // of the last state that was answered
+  std::int64_t seen_ns_ = 0;     // of the last cycle
+  std::int64_t changed_ns_ = 0;  // of the last state that differed from the one before
+  bool is_woken_ = false;        // nobody called for a while, and no other state has come
+  std::int64_t woken_ns_ = 0;    // of the first cycle then
   double position_ = 0.0;
   double velocity_ = 0.0;
   Reference asked_;
