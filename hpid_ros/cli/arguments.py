@@ -79,7 +79,9 @@ def overview() -> str:
 
 def _listed(texts: Mapping[str, str], between: str) -> list[str]:
     width = max(_NAMES, *map(len, texts))
-    return [f"  {name:{width}}{between}{text}" for name, text in texts.items()]
+    return [
+        f"  {name:{width}}{between}{text}" if text else f"  {name}" for name, text in texts.items()
+    ]
 
 
 class Parser(argparse.ArgumentParser):

@@ -145,6 +145,14 @@ class Cycle:
         return efforts
 
 
+def test_a_state_is_published_with_the_effort_that_was_in_force_then(active):
+    cycle = Cycle(active)
+    efforts = [cycle(1)[0] for _ in range(20)]
+    active.tick()
+    told = [rows["elbow"][2] for _, rows in active.taken("joint_states")]
+    assert told == [0.0, *efforts[:-1]]
+
+
 def test_the_joints_are_held_where_they_are(active):
     cycle = Cycle(active)
     assert cycle(3, by=0.0, speed=0.0) == [0.0, 0.0]

@@ -280,6 +280,7 @@ void HpidController::publish(const Cycle & cycle)
     answers.effort.push_back(record.effort);
     states.name.push_back(names_[i]);
     states.position.push_back(record.position);
+    states.effort.push_back(record.before);
     if (has_velocities_) {
       states.velocity.push_back(record.velocity);
     }

@@ -55,6 +55,7 @@ Record Joint::step(
   record.stamp_ns = stamp_ns_ = stamp_ns;
   record.position = position;
   record.velocity = velocity != nullptr ? *velocity : kNaN;
+  record.before = loop_.effort;
   record.asked = asked_ = asked_for(stamp_ns, position, chained);
   record.effort = {{ c }}_step(
     &loop_, stamp_ns, asked_.position, asked_.velocity, position, velocity);

@@ -30,6 +30,7 @@ struct Record
   std::int64_t stamp_ns = 0;  // of the state that was answered last
   double position = 0.0;      // [rad] measured
   double velocity = 0.0;      // [rad/s] measured
+  double before = 0.0;        // [N m] the effort when the state was read
   Reference asked;            // for
   Reference reference;        // the loop's own: gliding, within the stops
   double terms[3] = {};       // p, i, d [N m]
