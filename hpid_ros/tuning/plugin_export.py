@@ -25,6 +25,10 @@ _DEPENDENCIES = (
     *("pluginlib", "rcl_interfaces", "rclcpp", "rclcpp_lifecycle", "rcutils"),
     *("sensor_msgs", "std_msgs", "trajectory_msgs"),
 )
+_LAUNCHED = (
+    *("controller_manager", "hpid_ros", "joint_state_broadcaster"),
+    *("joint_state_topic_hardware_interface", "launch_ros", "robot_state_publisher"),
+)
 _FILES = {
     "package.xml": "package.xml",
     "CMakeLists.txt": "CMakeLists.txt",
@@ -90,10 +94,12 @@ def package_files(
         "version": __version__,
         "license": "Apache-2.0",
         "dependencies": _DEPENDENCIES,
+        "launched": _LAUNCHED,
         "fields": FIELDS,
         "joints": [each.joint for each in loops],
         "loops": [_tested(each) for each in loops],
         "certificates": [_of_joint(each) for each in ranges],
+        "allowed": [(each.settings.joint, str(each)) for each in ranges],
         "sha256": hashlib.sha256(certificates.encode()).hexdigest(),
         "largest_position": LARGEST_POSITION,
         "largest_motion": LARGEST_MOTION,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -55,6 +56,9 @@ def _export_plugin(options: argparse.Namespace, loops: Sequence[LoopSettings]) -
     _, parameters = loop_file(options.file)
     known = {**parameters.inertias, **inertias_from(options, [each.joint for each in loops])}
     judged = [(each, inertia_of(each, known.get(each.joint))) for each in loops]
+    print(
+        f"hpid: certifying {len(loops)} loops; half a minute to two for each kind", file=sys.stderr
+    )
     with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
         ranges = gain_ranges(judged, progress)
     files = package_files(package, ranges, controllers_text(loops), options.file.name)

@@ -214,6 +214,7 @@ struct Logger
 }  // namespace rclcpp
 
 #define RCLCPP_WARN(logger, format, text) ((void)(logger), rclcpp::graph().log.push_back(text))
+#define RCLCPP_INFO(logger, format, text) ((void)(logger), (void)(text))
 #define RCLCPP_ERROR(logger, format, text) RCLCPP_WARN(logger, format, text)
 
 namespace rclcpp_lifecycle

@@ -272,9 +272,11 @@ def test_a_set_is_taken_from_the_next_cycle_on_as_python_takes_it(make):
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"gains__p": 80.0}, "not certified with gains 80, 132, 3.96"),
+        ({"gains__p": 80.0}, "not certified: gains.p = 80 is not within"),
         ({"gains__p": 10.0, "gains__d": 1.0}, "p d must exceed i x inertia"),
-        ({"mu": 0.4}, "not certified at mu = 0.4: certified are"),
+        ({"mu": 0.4}, "not certified: mu = 0.4 is not within -0.2 to 0.1"),
+        ({"inertia": 0.3}, "not certified: inertia = 0.3 is not within 0.1 to 0.1"),
+        ({"norm__rate_weight": 1.3}, "norm.rate_weight x norm.error_scale = 0.104 is not"),
         ({"u_clamp_min": 30.0}, "u_clamp_min must not exceed u_clamp_max"),
         ({"state_timeout": 0.001}, "1.5 times control_period"),
         ({"norm__floor": 1e6}, "no room below norm.cap"),
@@ -300,7 +302,7 @@ def test_a_linear_joint_may_have_all_gains_that_are_stable(active):
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"gains.p": 80.0}, "elbow: not certified with gains 80"),
+        ({"gains.p": 80.0}, "elbow: not certified: gains.p = 80"),
         ({"joint": "shoulder"}, "elbow: parameter joint must be it, not shoulder"),
         ({"position_min": 2.0}, "elbow: position_min must not exceed position_max"),
     ],
@@ -316,7 +318,7 @@ def test_certificates_that_are_not_those_of_the_export_are_refused(make, exporte
     content = file.read_text()
     try:
         file.write_text(content.replace("0", "1", 1))
-        assert "not the one with which this package was exported" in make().log
+        assert "is not the one of the export" in make().log
         file.unlink()
         assert "cannot be read" in make().log
     finally:

@@ -30,7 +30,7 @@ struct Box
 struct Certificate
 {
   const char * joint;
-  double largest_inertia;  // [kg m^2]
+  Range inertia;  // [kg m^2]
   {{ c }}_norm_type norm;
   std::vector<Box> boxes;
 };
@@ -41,7 +41,7 @@ const std::vector<Certificate> & certificates()
 {
   static const std::vector<Certificate> all = {
 {% for each in certificates %}
-    {"{{ each.joint }}", {{ each.inertia[1]|double }}, {{ C }}_NORM_TYPE_{{ each.norm|upper }},
+    {"{{ each.joint }}", {{ each.inertia|pair }}, {{ C }}_NORM_TYPE_{{ each.norm|upper }},
       {
 {% for box in each.boxes %}
         {{ "{" }}{{ box.degrees|pair }}, {{ box.p|pair }}, {{ box.i|pair }}, {{ box.d|pair }}, {{ box.rate_time|pair }}},
@@ -59,7 +59,11 @@ std::string text(double number)
   return shown;
 }
 
-std::string text(const Range & range) { return text(range.least) + " to " + text(range.most); }
+std::string outside(const char * name, double number, const Range & range)
+{
+  return "not certified: " + std::string(name) + " = " + text(number) + " is not within " +
+    text(range.least) + " to " + text(range.most);
+}
 
 }  // namespace
 
@@ -72,9 +76,12 @@ std::string refusal(const std::string & joint, const {{ c }}_settings_type & s)
   if (found == nullptr) {
     return "there is no certificate of " + joint + " in this package";
   }
+  if (s.inertia != 0.0 && !found->inertia.holds(s.inertia)) {
+    return outside("inertia", s.inertia, found->inertia);
+  }
   const bool is_linear = s.law == {{ C }}_LAW_PID || s.mu == 0.0;
   if (is_linear) {
-    const double product = s.gains_p * s.gains_d, least = found->largest_inertia * s.gains_i;
+    const double product = s.gains_p * s.gains_d, least = found->inertia.most * s.gains_i;
     const bool is_stable = s.gains_p > 0.0 && s.gains_d > 0.0 && product > least;
     return is_stable ? "" : "unstable as a linear PID: p d = " + text(product) +
       " must exceed i x inertia = " + text(least);
@@ -84,27 +91,31 @@ std::string refusal(const std::string & joint, const {{ c }}_settings_type & s)
   }
   const double rate_time = s.norm_effort_scale > 0.0 ? s.gains_d / s.gains_p
                                                      : s.norm_rate_weight * s.norm_error_scale;
-  const Box * nearest = nullptr;
+  std::string reason;
   for (const auto & box : found->boxes) {
     if (!box.degree.holds(s.mu)) {
       continue;
     }
-    if (
-      box.p.holds(s.gains_p) && box.i.holds(s.gains_i) && box.d.holds(s.gains_d) &&
-      box.rate_time.holds(rate_time)) {
+    if (!box.p.holds(s.gains_p)) {
+      reason = outside("gains.p", s.gains_p, box.p);
+    } else if (!box.i.holds(s.gains_i)) {
+      reason = outside("gains.i", s.gains_i, box.i);
+    } else if (!box.d.holds(s.gains_d)) {
+      reason = outside("gains.d", s.gains_d, box.d);
+    } else if (!box.rate_time.holds(rate_time)) {
+      reason = outside(
+        s.norm_effort_scale > 0.0 ? "gains.d / gains.p" : "norm.rate_weight x norm.error_scale",
+        rate_time, box.rate_time);
+    } else {
       return "";
     }
-    nearest = &box;
+    reason += " at mu = " + text(s.mu);
   }
-  if (nearest == nullptr) {
-    return "not certified at mu = " + text(s.mu) +
-      (found->boxes.empty() ? "" : ": certified are " +
-        text({found->boxes.front().degree.least, found->boxes.back().degree.most}));
+  if (!reason.empty() || found->boxes.empty()) {
+    return reason.empty() ? "not certified but with mu = 0" : reason;
   }
-  return "not certified with gains " + text(s.gains_p) + ", " + text(s.gains_i) + ", " +
-    text(s.gains_d) + " and rate_weight x error_scale " + text(rate_time) + ": certified at mu = " +
-    text(s.mu) + " are p " + text(nearest->p) + ", i " + text(nearest->i) + ", d " +
-    text(nearest->d) + " and " + text(nearest->rate_time);
+  return outside(
+    "mu", s.mu, {found->boxes.front().degree.least, found->boxes.back().degree.most});
 }
 
 std::string file_refusal(const std::string & path)
@@ -126,7 +137,7 @@ std::string file_refusal(const std::string & path)
     std::snprintf(hex, sizeof hex, "%02x", byte);
     found += hex;
   }
-  return found == kSha256 ? "" : path + " is not the one with which this package was exported";
+  return found == kSha256 ? "" : path + " is not the one of the export: restore it, or export again";
 }
 
 }  // namespace {{ package }}

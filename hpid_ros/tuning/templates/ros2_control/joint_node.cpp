@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <stdexcept>
 
 #include "certificate.hpp"
@@ -129,6 +130,7 @@ JointNode::JointNode(
     throw std::invalid_argument(joint + ": " + reason);
   }
   joint_ = std::make_unique<Joint>(settings_);
+  RCLCPP_INFO(node_->get_logger(), "%s", line().c_str());
 
   on_set_ = node_->add_on_set_parameters_callback(
     [this](const Parameters & changes) { return allow(changes); });
@@ -139,6 +141,7 @@ JointNode::JointNode(
         *place = settings_;
         joint_->retunings.push();
       }
+      RCLCPP_INFO(node_->get_logger(), "%s", line().c_str());
     });
   node_->register_on_activate([this](const rclcpp_lifecycle::State &) {
     const bool may = is_controller_active_.load();
@@ -173,6 +176,16 @@ Settings JointNode::with(const Parameters & changes) const
     assign(settings, each);
   }
   return settings;
+}
+
+std::string JointNode::line() const
+{
+  const bool is_linear = settings_.law == {{ C }}_LAW_PID;
+  char shown[128];
+  std::snprintf(
+    shown, sizeof shown, "%s, mu %g, gains %g, %g, %g, certified", is_linear ? "pid" : "hpid",
+    settings_.mu, settings_.gains_p, settings_.gains_i, settings_.gains_d);
+  return shown;
 }
 
 std::string JointNode::why_not(const Settings & settings) const

@@ -46,6 +46,7 @@ private:
 
   Settings with(const Parameters & changes) const;
   std::string why_not(const Settings & settings) const;
+  std::string line() const;
   rcl_interfaces::msg::SetParametersResult allow(const Parameters & changes);
   void on_trajectory(const trajectory_msgs::msg::JointTrajectory & message);
   void on_setpoint(double position);
