@@ -145,6 +145,19 @@ def test_all_joints_become_a_package_for_ros2_control(controllers, tmp_path, cap
     assert main(["check-gains", str(folder / "config" / "certificates.json")]) == DONE
 
 
+def test_a_file_of_ones_own_in_the_folder_of_a_package_is_not_replaced(
+    controllers, tmp_path, capsys
+):
+    folder = tmp_path / "arm_controller"
+    folder.mkdir()
+    (folder / "README.md").write_text("mine")
+    file = str(controllers(**PID))
+    arguments = ["export", file, "--ros2-control", "-o", str(folder), "--joint", "wrist"]
+    assert main(arguments) == BAD_INPUT
+    assert "README.md exists" in capsys.readouterr().err
+    assert [(each.name, each.read_text()) for each in folder.iterdir()] == [("README.md", "mine")]
+
+
 @pytest.mark.parametrize(
     ("options", "reason"),
     [

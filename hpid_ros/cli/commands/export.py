@@ -62,6 +62,7 @@ def _export_plugin(options: argparse.Namespace, loops: Sequence[LoopSettings]) -
     with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
         ranges = gain_ranges(judged, progress)
     files = package_files(package, ranges, controllers_text(loops), options.file.name)
+    _refuse_in_the_way(options, files)
     _write(options.output, files)
     for each in ranges:
         print(f"{each.settings.joint}: {each}")

@@ -294,6 +294,16 @@ def test_what_the_certificate_or_the_loop_does_not_allow_is_refused_as_a_whole(
     assert cycle(1, speed=math.nan)[0] == 0.25
 
 
+def test_more_sets_than_wait_for_an_inactive_controller_are_refused_with_the_reason(make):
+    plugin = make()
+    for k in range(16):
+        assert plugin.set("elbow", takeover_time=0.01 * k) == ""
+    assert "wait for the controller to be activated" in plugin.set("elbow", takeover_time=0.3)
+    plugin.activate()
+    Cycle(plugin)(1)
+    assert plugin.set("elbow", takeover_time=0.3) == ""
+
+
 def test_a_linear_joint_may_have_all_gains_that_are_stable(active):
     assert active.set("wrist", gains__p=500.0, gains__d=0.06) == ""
     assert "p d must exceed" in active.set("wrist", gains__d=4e-4)

@@ -201,7 +201,9 @@ rcl_interfaces::msg::SetParametersResult JointNode::allow(const Parameters & cha
   rcl_interfaces::msg::SetParametersResult result;
   result.reason = why_not(with(changes));
   if (result.reason.empty() && joint_->retunings.back() == nullptr) {
-    result.reason = "sets come faster than the control loop takes them";
+    result.reason = is_controller_active_
+      ? "sets come faster than the control loop takes them"
+      : "16 sets wait for the controller to be activated: no more are taken before";
   }
   result.successful = result.reason.empty();
   return result;
