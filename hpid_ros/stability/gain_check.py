@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -400,7 +401,7 @@ def _multipliers(settings: LoopSettings) -> tuple[float, float]:
 
 
 CERTIFICATES = "certificates"
-"""Key of a file of certificates by name."""
+"""Key of a file of certificates by name; a name may have several (corners of ranges of gains)."""
 
 
 class Verification(NamedTuple):
@@ -429,7 +430,7 @@ def certificates(controllers: Mapping[str, Sequence[LoopSettings]]) -> dict[str,
     }
 
 
-def saved_certificates(path: Path) -> dict[str, Mapping[str, Any]]:
+def saved_certificates(path: Path) -> dict[str, list[Mapping[str, Any]]]:
     """Return the certificates of a file by name; empty when it is another kind of file."""
     if path.suffix != ".json":
         return {}
@@ -441,20 +442,58 @@ def saved_certificates(path: Path) -> dict[str, Mapping[str, Any]]:
     except (ValueError, RecursionError) as error:
         raise SettingError(f"cannot read {path}: {error}") from None
     found = document.get(CERTIFICATES) if isinstance(document, Mapping) else None
-    return dict(found) if isinstance(found, Mapping) else {}
+    if not isinstance(found, Mapping):
+        return {}
+    return {name: each if isinstance(each, list) else [each] for name, each in found.items()}
 
 
-def verify(saved: Mapping[str, Any]) -> Verification:
-    """Check one saved certificate again, without anything of the search that found it."""
+def verify(
+    saved: Mapping[str, Sequence[Mapping[str, Any]]],
+    progress: Callable[[Sequence[str]], None] = lambda names: None,
+) -> dict[str, Verification]:
+    """Check saved certificates again, without anything of the search that found them."""
+    tasks = [(name, each) for name, certificates in saved.items() for each in certificates]
+    found: dict[int, _Checked] = {}
+    left = Counter(name for name, _ in tasks)
+    for place, checked in side_by_side(_checked, tasks, name=lambda task: task[0]):
+        found[place] = checked
+        name = tasks[place][0]
+        left[name] -= 1
+        if not left[name]:
+            progress([name])
+    return {
+        name: _verification([found[place] for place, task in enumerate(tasks) if task[0] == name])
+        for name in saved
+    }
+
+
+class _Checked(NamedTuple):
+    degrees: tuple[float, float]
+    rate: float  # [1/s] the least
+    failure: str
+
+
+def _checked(task: tuple[str, Mapping[str, Any]]) -> _Checked:
+    _, saved = task
     if "reason" in saved:
-        return Verification(False, f"none was found: {saved['reason']}")
+        return _Checked((0.0, 0.0), 0.0, f"none was found: {saved['reason']}")
     certificate = Certificate.from_mapping(saved)
+    degrees = certificate.lower, certificate.upper
     try:
-        margins = verify_certificate(certificate)
+        return _Checked(degrees, verify_certificate(certificate).rate, "")
     except (GainError, np.linalg.LinAlgError) as error:
-        return Verification(False, f"does NOT hold: {error}")
+        return _Checked(degrees, 0.0, f"does NOT hold: {error}")
+
+
+def _verification(checked: Sequence[_Checked]) -> Verification:
+    failures = [each.failure for each in checked if each.failure]
+    count = f"{len(failures)} of {len(checked)}: " if len(checked) > 1 else ""
+    if failures or not checked:
+        return Verification(False, count + failures[0] if failures else "none was found")
+    lower = min(each.degrees[0] for each in checked)
+    upper = max(each.degrees[1] for each in checked)
+    holds = f"all {len(checked)} hold" if count else "holds"
+    rate = min(each.rate for each in checked)
     return Verification(
-        True,
-        f"holds, mu {certificate.lower:+.3f} to {certificate.upper:+.3f}, "
-        f"least rate {margins.rate:.3g} 1/s",
+        True, f"{holds}, mu {lower:+.3f} to {upper:+.3f}, least rate {rate:.3g} 1/s"
     )

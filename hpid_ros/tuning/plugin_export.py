@@ -114,12 +114,9 @@ def package_files(
 def _certificates(ranges: Sequence[GainRange]) -> str:
     """Return what `hpid check-gains` verifies, and for which gains and degrees it stands."""
     proofs = {
-        f"{each.settings.joint} mu {box.degrees[0]:g} to {box.degrees[1]:g} corner {number}": (
-            corner.to_mapping()
-        )
+        each.settings.joint: [corner.to_mapping() for box in each.boxes for corner in box.corners]
         for each in ranges
-        for box in each.boxes
-        for number, corner in enumerate(box.corners, 1)
+        if each.boxes
     }
     document = {
         "gain_ranges": {each.settings.joint: _of_joint(each) for each in ranges},

@@ -143,6 +143,8 @@ def test_all_joints_become_a_package_for_ros2_control(controllers, tmp_path, cap
     assert main(arguments) == BAD_INPUT
     assert "package.xml exists" in capsys.readouterr().err
     assert main(["check-gains", str(folder / "config" / "certificates.json")]) == DONE
+    (line,) = capsys.readouterr().out.splitlines()  # not one for each corner
+    assert re.match(r"wrist: all \d+ hold, mu -0.1\d* to \+0.1\d*, least rate 0.", line)
 
 
 def test_a_file_of_ones_own_in_the_folder_of_a_package_is_not_replaced(
@@ -163,7 +165,7 @@ def test_a_file_of_ones_own_in_the_folder_of_a_package_is_not_replaced(
     [
         (["--precision", "single"], "--precision single is for --c"),
         (["--joint", "shoulder"], "unknown joint 'shoulder'"),
-        (["--inertia", "1.1"], "at mu = -0.2 for an inertia of 0.132 to 1.1 kg m^2: "),
+        (["--inertia", "1.2"], "elbow is not certified for an inertia of 0.132 to 1.2 kg m^2: "),
         (["--c"], "not allowed with argument"),
     ],
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -153,9 +153,10 @@ def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) ->
     return settling_of(decoupled, load_robot(source).source if source else "")
 
 
-def _verify(saved: Mapping[str, Mapping[str, Any]], as_json: bool) -> int:
+def _verify(saved: Mapping[str, Sequence[Mapping[str, Any]]], as_json: bool) -> int:
     """Check saved certificates again, each on its own."""
-    findings = {name: verify(each) for name, each in saved.items()}
+    with joint_progress(TextConsole(stderr=True), "verified", len(saved)) as progress:
+        findings = verify(saved, progress)
     if as_json:
         print(json.dumps({name: each._asdict() for name, each in findings.items()}, indent=2))
     else:

@@ -489,10 +489,19 @@ def test_the_sanitizers_find_nothing_while_both_threads_are_busy(exported, param
 
 def test_every_certificate_of_the_package_holds(exported):
     document = json.loads((exported / "config" / "certificates.json").read_text())
-    saved = document[CERTIFICATES]
-    assert len(saved) > 8
-    for name in random.Random(1).sample(sorted(saved), 12):
-        assert verify(saved[name]).holds, name
+    saved = {
+        joint: random.Random(1).sample(corners, 6)
+        for joint, corners in document[CERTIFICATES].items()
+    }
+    assert {"elbow", "wrist"} <= set(saved)
+    verified = []
+    found = verify(saved, verified.extend)
+    assert sorted(verified) == sorted(saved)
+    for each in found.values():
+        assert (each.holds, each.text[:11]) == (True, "all 6 hold,"), each.text
+    joint, corners = next(iter(saved.items()))
+    corners[4]["gains"]["i"] *= 40.0
+    assert verify({joint: corners})[joint].text.startswith("1 of 6: does NOT hold: ")
 
 
 def test_gains_within_a_box_are_certified_by_its_p_and_far_beyond_it_are_not():
