@@ -54,11 +54,12 @@ def bench(module_harness):
 
 @pytest.fixture
 def merging(bench):
-    """Return the bench with a controller that has just been loaded, and merged for."""
+    """Yield the bench with a controller that has just been loaded, and merged for."""
     bench.control.load(ORDER)
     controller = bench.control.controller
     bench.command.until(EFFORTS, lambda: len(controller.received) > 1, "commands")
-    return bench
+    yield bench
+    print(bench.told.newest())  # shown where a test fails
 
 
 def start_merger(harness, **parameters):

@@ -70,6 +70,16 @@ class Harness:
     def _on_command(self, raw):
         self.on_command(decode_joint_state(raw))
 
+    def heard_from_now(self, duration):
+        """Return the commands of a while from now on, without what waits for a test that slept."""
+        heard = []
+        fresh = self.node.create_subscription(JointState, "joint_commands", heard.append, OFFERED)
+        self.wait(fresh.get_publisher_count, what="a publisher of commands")
+        end = time.monotonic() + duration
+        self.wait(lambda: time.monotonic() > end, what="the while to pass")
+        self.node.destroy_subscription(fresh)
+        return heard
+
     def wait(self, condition, within=60.0, what="the condition"):
         """Spin until a condition holds."""
         deadline = time.monotonic() + within
