@@ -293,6 +293,7 @@ class JointCommandMerger(ManagedNode):
 
     def begin(self) -> None:
         self._stop_repeating()
+        self._commanders = None
         self._claim.take()
         self._watch.start()
 
@@ -373,9 +374,11 @@ class JointCommandMerger(ManagedNode):
             return
         self._health.restart()
         merger = self._stream.begin(settings)
-        self._commanders = Commanders(
-            self, order, merger.counts, self._wanted.given.command_timeout
-        )
+        if self._commanders is None:
+            patience = self._wanted.given.command_timeout
+            self._commanders = Commanders(self, order, merger.counts, patience)
+        else:
+            self._commanders.go_on(order, merger.counts)
         self.is_starting = False
         self._status.send("merging", joints=list(order))
 

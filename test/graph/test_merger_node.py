@@ -355,6 +355,14 @@ def test_a_second_source_of_a_joint_is_not_obeyed_and_both_are_named(merging):
         "the same again",
     )
     assert all(0.0 <= numbers[2] <= 3.0 for _, numbers in received)
+    # Merging that begins anew, as with another receiver, has not forgotten whom it followed.
+    merging.control.load(ORDER)
+    received = merging.control.controller.received
+    crowd = [{"elbow": 99.0}] * 5
+    merging.command.until(
+        EFFORTS, lambda: [rival(each) for each in crowd] and len(received) > 5, "the next receiver"
+    )
+    assert all(0.0 <= numbers[2] <= 3.0 for _, numbers in received)
 
 
 def dynamic(message):

@@ -112,6 +112,13 @@ class Commanders:
         self._reported = dict.fromkeys(joints, (0, 0))
         self._moved = 0.0
 
+    def go_on(self, joints: Sequence[str], counts: Mapping[str, JointCounts]) -> None:
+        """Go on with counts that begin at zero: a joint still follows whom it has followed."""
+        self._counts = counts
+        for joint in joints:
+            self._followed.setdefault(joint, FollowedSender(self._patience))
+        self._reported = {joint: (self._followed[joint].others, 0) for joint in joints}
+
     def heed(
         self, names: tuple[str, ...], efforts: tuple[float, ...], sender: str
     ) -> tuple[tuple[str, ...], tuple[float, ...]]:
