@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -447,53 +446,22 @@ def saved_certificates(path: Path) -> dict[str, list[Mapping[str, Any]]]:
     return {name: each if isinstance(each, list) else [each] for name, each in found.items()}
 
 
-def verify(
-    saved: Mapping[str, Sequence[Mapping[str, Any]]],
-    progress: Callable[[Sequence[str]], None] = lambda names: None,
-) -> dict[str, Verification]:
-    """Check saved certificates again, without anything of the search that found them."""
-    tasks = [(name, each) for name, certificates in saved.items() for each in certificates]
-    found: dict[int, _Checked] = {}
-    left = Counter(name for name, _ in tasks)
-    for place, checked in side_by_side(_checked, tasks, name=lambda task: task[0]):
-        found[place] = checked
-        name = tasks[place][0]
-        left[name] -= 1
-        if not left[name]:
-            progress([name])
-    return {
-        name: _verification([found[place] for place, task in enumerate(tasks) if task[0] == name])
-        for name in saved
-    }
-
-
-class _Checked(NamedTuple):
-    degrees: tuple[float, float]
-    rate: float  # [1/s] the least
-    failure: str
-
-
-def _checked(task: tuple[str, Mapping[str, Any]]) -> _Checked:
-    _, saved = task
-    if "reason" in saved:
-        return _Checked((0.0, 0.0), 0.0, f"none was found: {saved['reason']}")
-    certificate = Certificate.from_mapping(saved)
-    degrees = certificate.lower, certificate.upper
-    try:
-        return _Checked(degrees, verify_certificate(certificate).rate, "")
-    except (GainError, np.linalg.LinAlgError) as error:
-        return _Checked(degrees, 0.0, f"does NOT hold: {error}")
-
-
-def _verification(checked: Sequence[_Checked]) -> Verification:
-    failures = [each.failure for each in checked if each.failure]
-    count = f"{len(failures)} of {len(checked)}: " if len(checked) > 1 else ""
-    if failures or not checked:
-        return Verification(False, count + failures[0] if failures else "none was found")
-    lower = min(each.degrees[0] for each in checked)
-    upper = max(each.degrees[1] for each in checked)
-    holds = f"all {len(checked)} hold" if count else "holds"
-    rate = min(each.rate for each in checked)
-    return Verification(
-        True, f"{holds}, mu {lower:+.3f} to {upper:+.3f}, least rate {rate:.3g} 1/s"
-    )
+def verify(saved: Sequence[Mapping[str, Any]]) -> Verification:
+    """Check a loop's saved certificates again, without anything of the search that found them."""
+    found = []
+    for number, each in enumerate(saved, 1):
+        where = f"certificate {number} of {len(saved)} " if len(saved) > 1 else ""
+        if isinstance(each, Mapping) and "reason" in each:
+            return Verification(False, f"none was found: {each['reason']}")
+        certificate = Certificate.from_mapping(each)
+        try:
+            rate = verify_certificate(certificate).rate
+        except (GainError, np.linalg.LinAlgError) as error:
+            return Verification(False, f"{where}does NOT hold: {error}")
+        found.append((certificate.lower, certificate.upper, rate))
+    if not found:
+        return Verification(False, "none was found")
+    lowers, uppers, rates = zip(*found, strict=True)
+    holds = "holds" if len(found) == 1 else f"all {len(found)} hold"
+    degrees = f"mu {min(lowers):+.3f} to {max(uppers):+.3f}"
+    return Verification(True, f"{holds}, {degrees}, least rate {min(rates):.3g} 1/s")

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.cli.arguments import GAIN_OPTIONS
 from hpid_ros.cli.commands import DONE, FAILED
@@ -33,6 +34,7 @@ from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
     LARGEST_SAMPLING_MARGIN_LATE,
     GainVerdict,
+    Verification,
     check_gains,
     saved_certificates,
     verify,
@@ -155,14 +157,21 @@ def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) ->
 
 def _verify(saved: Mapping[str, Sequence[Mapping[str, Any]]], as_json: bool) -> int:
     """Check saved certificates again, each on its own."""
+    loops, found = list(saved.items()), {}
     with joint_progress(TextConsole(stderr=True), "verified", len(saved)) as progress:
-        findings = verify(saved, progress)
+        for place, found[place] in side_by_side(_verified, loops, name=lambda loop: loop[0]):
+            progress([loops[place][0]])
+    findings = {name: found[place] for place, (name, _) in enumerate(loops)}
     if as_json:
         print(json.dumps({name: each._asdict() for name, each in findings.items()}, indent=2))
     else:
         for name, each in findings.items():
             print(f"{name}: {each.text}")
     return DONE if all(each.holds for each in findings.values()) else FAILED
+
+
+def _verified(loop: tuple[str, Sequence[Mapping[str, Any]]]) -> Verification:
+    return verify(loop[1])
 
 
 def _loops(options: argparse.Namespace) -> ParameterFile:

@@ -494,14 +494,10 @@ def test_every_certificate_of_the_package_holds(exported):
         for joint, corners in document[CERTIFICATES].items()
     }
     assert {"elbow", "wrist"} <= set(saved)
-    verified = []
-    found = verify(saved, verified.extend)
-    assert sorted(verified) == sorted(saved)
-    for each in found.values():
-        assert (each.holds, each.text[:11]) == (True, "all 6 hold,"), each.text
-    joint, corners = next(iter(saved.items()))
+    for corners in saved.values():
+        assert verify(corners).text.startswith("all 6 hold, ")
     corners[4]["gains"]["i"] *= 40.0
-    assert verify({joint: corners})[joint].text.startswith("1 of 6: does NOT hold: ")
+    assert verify(corners).text.startswith("certificate 5 of 6 does NOT hold: ")
 
 
 def test_gains_within_a_box_are_certified_by_its_p_and_far_beyond_it_are_not():
