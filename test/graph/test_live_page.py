@@ -11,6 +11,7 @@ from harness.turntable import GAINS, INERTIA, positions, start_turntable, wait_f
 from rcl_interfaces.srv import GetParameters
 
 expect = pytest.importorskip("playwright.sync_api", reason="pip install playwright").expect
+expect.set_options(timeout=60_000)
 pytestmark = pytest.mark.slow
 
 LATE = 60_000  # [ms]
@@ -20,7 +21,7 @@ NODE = "turn_controller"
 @pytest.fixture(scope="module")
 def harness(module_harness, tmp_path_factory):
     folder = tmp_path_factory.mktemp("turntable")
-    start_turntable(module_harness, folder, "lockstep", inertia=INERTIA, require_certificate=True)
+    start_turntable(module_harness, folder, pace=0.5, inertia=INERTIA, require_certificate=True)
     return module_harness
 
 

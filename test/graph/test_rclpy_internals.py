@@ -1,6 +1,9 @@
 """What rclpy keeps to itself: the real one has it; its absence is one line, not a traceback."""
 
+import time
+
 import pytest
+from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
@@ -8,6 +11,7 @@ from std_srvs.srv import Trigger
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.nodes.core import rclpy_internals
+from hpid_ros.nodes.core.middleware import steady_timer
 
 
 @pytest.fixture
@@ -52,6 +56,27 @@ def test_matches_are_counted_when_they_happen_and_never_forgotten(node):
         assert (count(), publisher.get_subscription_count()) == (matches, 1)
         node.destroy_subscription(subscription)
         assert (count(), publisher.get_subscription_count()) == (matches, 0)
+
+
+def test_a_timer_that_is_reset_again_and_again_leaves_the_others_alone(node):
+    """Others were called as often as it had been reset meanwhile, and rested as many periods."""
+    executor, period, calls = EventsExecutor(context=node.context), 0.1, []
+    begun = time.monotonic()
+    steady_timer(node, period, lambda: calls.append(time.monotonic()))
+    rearmed = steady_timer(node, 10.0, lambda: None, is_rearmed=True)
+    executor.add_node(node)
+
+    def reset_again():
+        rearmed.reset()
+        if not calls:
+            executor.create_task(reset_again)
+
+    for _ in range(50):
+        executor.create_task(reset_again)
+    while not calls or time.monotonic() - calls[0] < period / 2.0:
+        executor.spin_once(timeout_sec=period)
+    assert len(calls) <= (time.monotonic() - begun) / period
+    executor.shutdown()
 
 
 @pytest.mark.parametrize(

@@ -34,15 +34,20 @@ from hpid_ros.base.names import PROFILE_FILES
 _CLOCKS: WeakKeyDictionary[Node, Clock] = WeakKeyDictionary()
 
 
-def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> Timer:
+def steady_timer(
+    node: Node, period: float, callback: Callable[[], object], *, is_rearmed: bool = False
+) -> Timer:
     """Return a running timer on the steady clock.
 
     A node's own timers follow its ROS clock: they wait when the time is set back, and
     with ``use_sim_time`` while the simulation stands still.
     """
     # The executor has a thread for each clock, and warns from eight timers of one clock on, which
-    # the controllers of a few joints have together: so there is one for each node.
-    clock = _CLOCKS.setdefault(node, Clock(clock_type=ClockType.STEADY_TIME))
+    # the controllers of a few joints have together: so there is one for each node. A timer that is
+    # reset often has its own: with each reset EventsExecutor looks at all timers of that clock,
+    # calls one that is due as often as it has looked, and lets it rest as many periods.
+    own = Clock(clock_type=ClockType.STEADY_TIME)
+    clock = own if is_rearmed else _CLOCKS.setdefault(node, own)
     return node.create_timer(period, callback, clock=clock)
 
 

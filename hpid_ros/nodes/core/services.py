@@ -65,7 +65,8 @@ class Answers:
         has_blocked = time.monotonic() - begun > _BLOCKED
         if not has_blocked and any("failed to send response" in str(each) for each in said):
             self._waiting.append((min(deadline, begun + _AGAIN_WITHIN), again))
-            self._timer.reset()
+            if self._timer.is_canceled():
+                self._timer.reset()
 
     def _send(self, send: Callable[[Any, Any], None], response: object, header: object) -> None:
         with self.sent(lambda: send(response, header)):

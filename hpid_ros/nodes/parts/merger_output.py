@@ -324,7 +324,7 @@ class MergedStream:
         self._node, self._note_delay, self._changed = node, note_delay, changed
         self._lock = threading.Lock()  # of the merger, and of the order of what is sent
         self._is_cut = False
-        self._timer = steady_timer(node, 1.0, self._on_deadline)
+        self._timer = steady_timer(node, 1.0, self._on_deadline, is_rearmed=True)
         self._timer.cancel()
         self._timer_ns = NANOSECONDS
         self._is_armed = False
