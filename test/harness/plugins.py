@@ -120,16 +120,17 @@ class Plugin:
     Args:
         library: What :func:`compile_plugin` has made.
         joints: Their names, in the order of the export.
+        update_rate: [Hz] of the manager; 0 says nothing.
     """
 
-    def __init__(self, library, joints, *, is_chained=False, **overrides):
+    def __init__(self, library, joints, *, is_chained=False, update_rate=0, **overrides):
         self._library = ctypes.CDLL(str(library))
         for name, result in _RESULTS.items():
             getattr(self._library, name).restype = result
         self.joints = tuple(joints)
         for joint, values in overrides.items():
             self._override(f"{joint}_controller", values)
-        self._made = self._library.make(is_chained)
+        self._made = self._library.make(is_chained, update_rate)
         self.log = self._text(self._library.logged())
         self.is_configured = bool(self._made)
 
@@ -206,6 +207,10 @@ class Plugin:
     def lifecycle(self, joint):
         return self._text(self._library.lifecycle(self.node(joint).encode()))
 
+    def health(self, joint, key):
+        """Return what its newest diagnostics say of a key."""
+        return self._text(self._library.health(self.node(joint).encode(), key.encode()))
+
     def setpoint(self, joint, position):
         topic = f"{self.node(joint)}/setpoint"
         self._library.setpoint(topic.encode(), ctypes.c_double(position))
@@ -247,7 +252,9 @@ _RESULTS = {
     "activate": ctypes.c_bool,
     "deactivate": ctypes.c_bool,
     "cleanup": ctypes.c_bool,
-    **dict.fromkeys(("take", "set_numbers", "transition", "lifecycle", "logged"), ctypes.c_char_p),
+    **dict.fromkeys(
+        ("take", "set_numbers", "transition", "lifecycle", "logged", "health"), ctypes.c_char_p
+    ),
 }
 
 

@@ -38,8 +38,9 @@ bool is_good(HpidController::CallbackReturn result)
 extern "C" {
 
 /// Returns a configured controller, nullptr if it refuses.
-HpidController * make(bool is_chained)
+HpidController * make(bool is_chained, unsigned int update_rate = 0)
 {
+  rclcpp::graph().update_rate = update_rate;
   rclcpp::graph().subscriptions.clear();
   rclcpp::graph().timers.clear();
   rclcpp::graph().log.clear();
@@ -179,6 +180,19 @@ const char * take(const char * topic, std::int64_t * stamp_ns, double * numbers)
     }
   }
   return kept(names);
+}
+
+/// Returns what the newest health of a node says of a key.
+const char * health(const char * node, const char * key)
+{
+  for (const auto & status : rclcpp::graph().health.status) {
+    for (const auto & each : status.values) {
+      if (status.name == node && each.key == key) {
+        return kept(each.value);
+      }
+    }
+  }
+  return "";
 }
 
 const char * logged()

@@ -157,6 +157,8 @@ struct Graph
   std::map<std::string, std::vector<sensor_msgs::msg::JointState>> joint_states;
   std::vector<std::string> log;
   std::vector<std::function<void()>> timers;
+  diagnostic_msgs::msg::DiagnosticArray health;  // the newest
+  unsigned int update_rate = 0;                  // [Hz] of the controller_manager
   std::map<std::string, std::map<std::string, Parameter::Value>> overrides;  // by node's name
 };
 inline Graph & graph()
@@ -182,6 +184,8 @@ public:
   {
     if constexpr (std::is_same_v<Message, sensor_msgs::msg::JointState>) {
       graph().joint_states[topic_].push_back(message);
+    } else if constexpr (std::is_same_v<Message, diagnostic_msgs::msg::DiagnosticArray>) {
+      graph().health = message;
     }
   }
 
@@ -453,6 +457,7 @@ public:
 
   rclcpp_lifecycle::LifecycleNode::SharedPtr get_node() const { return node_; }
   bool is_in_chained_mode() const { return is_chained_; }
+  unsigned int get_update_rate() const { return rclcpp::graph().update_rate; }
 
   /// What a controller_manager does before it activates a controller.
   void prepare(bool is_chained)

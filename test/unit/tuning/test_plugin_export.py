@@ -96,9 +96,9 @@ def make(library, parameters):
     """Return what makes an active controller."""
     made = []
 
-    def start(*, is_chained=False, **changes):
+    def start(*, is_chained=False, update_rate=0, **changes):
         own = {joint: {**values, **changes.get(joint, {})} for joint, values in parameters.items()}
-        plugin = Plugin(library, NAMES, is_chained=is_chained, **own)
+        plugin = Plugin(library, NAMES, is_chained=is_chained, update_rate=update_rate, **own)
         made.append(plugin)
         return plugin
 
@@ -143,6 +143,22 @@ class Cycle:
             self.position += by
             efforts = self.plugin.update(self.stamp_ns, *[(self.position, speed)] * 2)
         return efforts
+
+
+def test_updates_that_are_too_rare_are_refused_and_missed_ones_counted(make):
+    rare = "control_period 0.001 s is too short: the controller is updated at 500 Hz"
+    plugin = make(update_rate=500)
+    assert not plugin.is_configured
+    assert rare in plugin.log
+    plugin = make(update_rate=1000)
+    assert "too short" in plugin.set("elbow", control_period=0.0005)
+    plugin.activate()
+    cycle = Cycle(plugin)
+    cycle(10)
+    cycle.stamp_ns += 3 * MS
+    cycle(10)
+    plugin.tick()
+    assert plugin.health("elbow", "missed samples") == "3"
 
 
 def test_a_state_is_published_with_the_effort_that_was_in_force_then(active):

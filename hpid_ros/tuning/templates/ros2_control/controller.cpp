@@ -61,7 +61,8 @@ void HpidController::open()
   const auto options = rclcpp::NodeOptions().arguments(arguments).use_global_arguments(false);
   const std::string space = get_node()->get_fully_qualified_name();
   for (const auto & name : names_) {
-    joints_.push_back(std::make_unique<JointNode>(name, space, options, is_active_, is_chained_));
+    joints_.push_back(std::make_unique<JointNode>(
+      name, space, options, get_update_rate(), is_active_, is_chained_));
   }
   if (joints_.empty()) {
     throw std::invalid_argument("parameter joints must name at least one joint");

@@ -5,6 +5,13 @@
 namespace {{ package }}
 {
 
+namespace
+{
+
+constexpr double kLate = 1.5;  // periods
+
+}  // namespace
+
 bool Joint::accepts(const Settings & settings)
 {
   {{ c }}_state trial;
@@ -51,6 +58,10 @@ Record Joint::step(
   }
   is_silent_ = false;
   is_standing_ = is_standing_ && stamp_ns >= stamp_ns_;  // else the clock has gone back
+  const auto periods = (stamp_ns - stamp_ns_) * 1e-9 / loop_.settings.control_period;
+  if (is_standing_ && periods > kLate) {
+    missed.fetch_add(static_cast<std::uint64_t>(periods + 0.5) - 1, std::memory_order_relaxed);
+  }
   record.kind = Record::Kind::kAnswer;
   record.stamp_ns = stamp_ns_ = stamp_ns;
   record.position = position;

@@ -66,6 +66,7 @@ public:
   std::atomic<std::uint64_t> samples = 0;
   std::atomic<std::uint64_t> faults = 0;    // states that could not be used
   std::atomic<std::uint64_t> silences = 0;  // times without a new state
+  std::atomic<std::uint64_t> missed = 0;    // states there must have been, by control_period
 
 private:
   enum class Age { kNew, kOld, kEnded };

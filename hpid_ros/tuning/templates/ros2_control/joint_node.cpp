@@ -18,6 +18,7 @@ namespace
 
 constexpr double kLargest = {{ largest_position|double }};  // of positions and their derivatives
 constexpr std::size_t kMostPoints = 50000;
+constexpr double kLeastRate = 0.95;  // of the controller's updates, of the one by control_period
 
 /// Returns why a joint's column of a trajectory cannot be followed; empty, and the motion, if it can.
 std::string column(
@@ -111,10 +112,12 @@ diagnostic_msgs::msg::KeyValue value(const std::string & key, const std::string 
 
 JointNode::JointNode(
   const std::string & joint, const std::string & space, const rclcpp::NodeOptions & options,
-  const std::atomic<bool> & is_controller_active, const std::atomic<bool> & is_chained)
+  unsigned int rate, const std::atomic<bool> & is_controller_active,
+  const std::atomic<bool> & is_chained)
 : name_(joint),
   node_(std::make_shared<rclcpp_lifecycle::LifecycleNode>(joint + "_controller", space, options)),
   parameters_(std::make_unique<ParamListener>(node_)),
+  rate_(rate),
   is_controller_active_(is_controller_active),
   is_chained_(is_chained)
 {
@@ -192,6 +195,13 @@ std::string JointNode::why_not(const Settings & settings) const
 {
   if (!Joint::accepts(settings)) {
     return conflict(settings);
+  }
+  if (rate_ > 0 && rate_ * settings.control_period < kLeastRate) {
+    char shown[128];
+    std::snprintf(
+      shown, sizeof shown, "control_period %g s is too short: the controller is updated at %u Hz",
+      settings.control_period, rate_);
+    return shown;
   }
   return refusal(name_, settings);
 }
@@ -315,6 +325,7 @@ diagnostic_msgs::msg::DiagnosticStatus JointNode::status() const
     value("degree mu", std::to_string(settings_.mu)),
     value("certified degrees", "by the certificate of {{ package }}"),
     value("samples", std::to_string(joint_->samples)),
+    value("missed samples", std::to_string(joint_->missed)),
     value("silences", std::to_string(joint_->silences)),
     value("rejected samples", std::to_string(joint_->faults)),
     value("refused references", std::to_string(refused_)),

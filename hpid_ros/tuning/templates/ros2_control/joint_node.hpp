@@ -26,7 +26,8 @@ public:
   /// Throws std::invalid_argument for parameters that are no loop's, or not certified.
   JointNode(
     const std::string & joint, const std::string & space, const rclcpp::NodeOptions & options,
-    const std::atomic<bool> & is_controller_active, const std::atomic<bool> & is_chained);
+    unsigned int rate, const std::atomic<bool> & is_controller_active,
+    const std::atomic<bool> & is_chained);
 
   Joint & joint() { return *joint_; }
 
@@ -58,6 +59,7 @@ private:
   std::unique_ptr<ParamListener> parameters_;
   std::unique_ptr<Joint> joint_;
   Settings settings_;  // set last
+  const unsigned int rate_;  // [Hz] of the controller's updates; 0 where nobody knows
   const std::atomic<bool> & is_controller_active_;
   const std::atomic<bool> & is_chained_;
   std::string last_fault_ = "none";
