@@ -4,12 +4,10 @@
 #define STAND_INS_HPP_
 
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -378,22 +376,12 @@ class SingleThreadedExecutor
 {
 public:
   void add_node(const rclcpp_lifecycle::LifecycleNode::SharedPtr &) {}
-  void spin()
+  template <typename Future>
+  void spin_until_future_complete(const Future & future)
   {
-    std::unique_lock<std::mutex> lock(mutex_);
-    ended_.wait(lock, [this] { return is_ended_; });
+    future.wait();
   }
-  void cancel()
-  {
-    std::lock_guard<std::mutex> lock(mutex_);
-    is_ended_ = true;
-    ended_.notify_all();
-  }
-
-private:
-  std::mutex mutex_;
-  std::condition_variable ended_;
-  bool is_ended_ = false;
+  void cancel() {}
 };
 }  // namespace executors
 

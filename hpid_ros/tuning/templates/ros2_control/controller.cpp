@@ -80,16 +80,18 @@ void HpidController::open()
   for (const auto & joint : joints_) {
     executor_->add_node(joint->node()->get_node_base_interface());
   }
-  thread_ = std::thread([this] { executor_->spin(); });
+  closing_ = std::promise<void>();
+  thread_ = std::thread([this, closed = closing_.get_future().share()] {
+    executor_->spin_until_future_complete(closed);  // of spin() a cancel() before it is lost
+  });
 }
 
 void HpidController::close()
 {
   is_active_ = false;
-  if (executor_) {
-    executor_->cancel();
-  }
   if (thread_.joinable()) {
+    closing_.set_value();
+    executor_->cancel();
     thread_.join();
   }
   timer_.reset();

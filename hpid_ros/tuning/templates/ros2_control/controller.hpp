@@ -3,6 +3,7 @@
 #define CONTROLLER_HPP_
 
 #include <atomic>
+#include <future>
 #include <memory>
 #include <string>
 #include <thread>
@@ -72,6 +73,7 @@ private:
 
   // What has time: a thread of its own.
   std::unique_ptr<rclcpp::executors::SingleThreadedExecutor> executor_;
+  std::promise<void> closing_;
   std::thread thread_;
   rclcpp::TimerBase::SharedPtr timer_;
   rclcpp::Publisher<Message>::SharedPtr states_, commands_;

@@ -280,7 +280,7 @@ void JointNode::follow_lifecycle()
   using lifecycle_msgs::msg::State;
   using lifecycle_msgs::msg::Transition;
   const auto state = node_->get_current_state().id();
-  const bool is_enabled = joint_->is_enabled;
+  const bool is_enabled = joint_->is_enabled && is_controller_active_;
   if (is_enabled && state == State::PRIMARY_STATE_INACTIVE) {
     node_->activate();
   } else if (!is_enabled && state == State::PRIMARY_STATE_ACTIVE) {
