@@ -180,15 +180,14 @@ def test_a_joint_that_another_host_holds_is_refused_for_as_long_as_it_says_so(ha
 
     harness.wait(refused, what="the far claim to be heard")
     assert "/far (process 7 on host farhost)" in log_of(standby)
-    far.tell()
     silent = time.monotonic()
+    far.tell()
     harness.wait(lambda: change(harness, "activate", "standby"), what="the lease to run out")
     lasted = time.monotonic() - silent
-    assert LEASE - 0.2 < lasted < LEASE + 0.5
+    assert lasted > LEASE
     faults.count("ms from another host's last word to active here", 1e3 * lasted)
     assert change(harness, "deactivate", "standby")
-    far.tell()
-    assert refused()
+    harness.wait(refused, what="the far claim to be heard again")
     far.tell(replace(far.claim, state=ClaimState.RELEASED))
     harness.wait(
         lambda: change(harness, "activate", "standby"), within=LEASE - 0.5, what="the release"

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.alone
 
 MS = 1_000_000
 GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
-DAMPING = {"stop": "damping", "stop_duration": 0.6, "state_watchdog": False}
+DAMPING = {"stop": "damping", "stop_duration": 4.0, "state_watchdog": False}
 
 
 class Stream:
@@ -88,11 +88,11 @@ def test_a_ramp_that_is_cut_short_ends_with_zero(harness, labels):
 
 
 def test_a_damping_stop_without_states_does_not_go_on_with_the_last_effort(harness):
-    process, stream = in_motion(harness, stop="damping", stop_duration=4.0, state_timeout=0.2)
+    process, stream = in_motion(harness, stop="damping", stop_duration=4.0, state_timeout=1.0)
     process.send_signal(signal.SIGTERM)
     streamed(harness, stream, lambda: harness.commands[-1].effort[0] < 0.0, "the damping")
-    harness.wait(lambda: is_left(harness), within=2.0, what="a command of zero")
-    harness.wait(lambda: process.poll() is not None, within=2.0, what="the end")
+    harness.wait(lambda: is_left(harness), what="a command of zero")
+    harness.wait(lambda: process.poll() is not None, what="the end")
     assert process.returncode == 0
 
 
@@ -199,7 +199,7 @@ sys.exit(executor.run(make))
     ("destroying", "within", "code", "said"),
     [
         ("super().destroy_node()", 60.0, 0, ""),
-        ("threading.Event().wait()", 0.2, 1, "in destroy_node"),
+        ("threading.Event().wait()", 0.2, 1, "Timeout ("),
     ],
 )
 @pytest.mark.usefixtures("harness")  # for its domain

@@ -43,8 +43,8 @@ def test_a_node_does_not_wait_for_a_parent_that_does_not_read(harness, tmp_path,
     names = harness.call(ListParameters, "/recorder/list_parameters", ListParameters.Request())
     assert "bag" in names.result.names
 
+    events = recorder.read_events()  # at its end it waits half a second for who reads
     recorder.process.terminate()
-    events = []
 
     def is_closed():
         events.extend(recorder.read_events())

@@ -181,5 +181,5 @@ def test_a_merger_makes_one_message_of_the_answers_to_a_state(form):
     found = measure(form, Load(["a", "b", "c", "d"], rate=250.0, seconds=0.5, priority=0))
     assert found["median"] > 0.0
     assert 0.0 < found["answered"] <= 1.0
-    # A busy machine may lose some, or send a straggler's answer apart.
-    assert (found["messages"] < 2.5) is form.is_merged
+    # A busy machine may lose states, or send a straggler's answer apart.
+    assert (found["messages"] / found["answered"] < 2.5) is form.is_merged

@@ -94,7 +94,14 @@ def test_running_controllers_are_found_and_checked(harness, capsys):
     harness.wait(
         lambda: harness.states.get_subscription_count() == 2, what="both controllers to listen"
     )
-    code, verdicts = checked(["--live"], capsys)
+    seen = []
+
+    def are_both_seen():  # by a client that knows the graph after a second
+        seen[:] = checked(["--live"], capsys)
+        return len(seen[1]) == 2
+
+    harness.wait(are_both_seen, what="both to be found")
+    code, verdicts = seen
     assert code == FAILED
     certified = {name: each["is_certified"] for name, each in verdicts.items()}
     assert certified == {"elbow": True, "wrist": False}

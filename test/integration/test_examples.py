@@ -31,7 +31,7 @@ SAYS = {
     "robot/own_urdf.py": r"shoulder within 0\.01 rad after 0\.\d+ s, holds with -3\.0\d N m",
     "robot/trajectory_by_code.py": r"arm_joint_4: at \+0\.3\d+ rad",
     "ros/own_node.py": r"elbow: 0\.(49\d\d|50\d\d) rad after 1\.2 s, wanted 0\.5",
-    "ros/driver_adapter.py": r"\d+ commands, at \+0\.\d+ rad, wanted \+0\.3 rad",
+    "ros/driver_adapter.py": r"\d+ commands, at [+-]\d+\.\d+ rad, wanted \+0\.3 rad",
     "ros/odrive_can.py": r"node 1, closed loop +: 027#08000000",
     "ros/retuning_client.py": r"mu = -0\.1: taken\n.*: taken\nmu = 0\.6: refused: .*\n.*: refused",
     "ros/send_trajectory.py": r"3 points for shoulder, elbow, heard by no controllers",

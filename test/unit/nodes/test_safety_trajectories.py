@@ -163,9 +163,9 @@ def test_a_million_points_are_refused_at_once_and_the_most_that_are_taken_cost_l
         column_from_bytes(raw, "a")
     message = trajectory("abcdef", 2000)
     raw = serialize_message(message)
-    began = time.perf_counter()
+    began = time.thread_time()
     column_from_bytes(raw, "a")
-    each = (time.perf_counter() - began) / 2000
+    each = (time.thread_time() - began) / 2000
     assert each * MOST_POINTS < 1.0  # [s]; measured below 0.1
     mixed = trajectory("ab", MOST_MIXED_POINTS + 1)
     mixed.points[7].velocities = []
