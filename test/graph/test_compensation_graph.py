@@ -108,7 +108,7 @@ def test_a_node_with_a_model_answers_whole_states_and_survives_those_that_are_no
     harness.node.create_subscription(
         DiagnosticArray, "/diagnostics", lambda each: reports.extend(each.status), RARE
     )
-    harness.start_controller(joint=ELBOW, **PARAMETERS)
+    harness.start_controller(joint=ELBOW, state_watchdog=False, **PARAMETERS)
     loop, model = in_this_process()
     order = model.states.joints
     efforts = [0.5 * k for k in range(len(JOINTS))]

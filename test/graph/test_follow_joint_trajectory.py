@@ -231,7 +231,7 @@ def test_a_server_that_stands_still_leaves_the_joints_on_their_way_to_rest(joint
 
 
 def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(joints):
-    joints.start(state_timeout=0.5)
+    joints.start()
     client = Client(joints)
     handle = client.send(slowly())
     joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
@@ -287,7 +287,8 @@ def test_whatever_a_cancel_of_all_goals_says_it_cancels_ends(joints):
 def test_of_two_servers_of_the_same_joints_the_first_gives_way(joints):
     told = Told(joints.harness, ACTION)
     joints.start(state_timeout=10.0)
-    joints.start_action("other", joints="[elbow, shoulder]", state_timeout=10.0)
+    started = joints.start_action("other", joints="[elbow, shoulder]", state_timeout=10.0)
+    joints.run(lambda: "ready for goals" in started.log.read_text(), what="the other to be ready")
     joints.run(
         lambda: "/other may send trajectories, too" in told.newest().get("message", ""),
         what="the warning",

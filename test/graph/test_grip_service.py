@@ -54,7 +54,10 @@ def test_a_person_grips_lets_go_and_begins_anew(harness, tmp_path):
     grip = node.create_client(SetBool, "mujoco_bridge/grip")
     hold = node.create_client(SetBool, "mujoco_bridge/pause")
     reset = node.create_client(Trigger, "mujoco_bridge/reset")
-    harness.wait(lambda: grip.service_is_ready() and poses, what="the bridge and its bricks")
+    harness.wait(
+        lambda: poses and all(each.service_is_ready() for each in (grip, hold, reset)),
+        what="the bridge and its bricks",
+    )
 
     def call(client, request):
         future = client.call_async(request)

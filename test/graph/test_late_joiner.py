@@ -108,9 +108,13 @@ def test_where_states_come_already_all_are_told_the_same_start(harness, tmp_path
         harness.states.publish(template.encode(next(count) * MS, position=[0.0]))
         return received
 
-    harness.wait(is_received, what="the trajectory")
-    (told,) = map(from_message, received)
-    assert told.stamp_ns > 50 * MS
+    def is_started():
+        return is_received() and from_message(received[-1]).stamp_ns
+
+    harness.wait(is_started, what="the trajectory")
+    told = from_message(received[-1])
     assert told == minimum_jerk([0.0, 2.0], {"elbow": [0.0, 1.0]}).started(told.stamp_ns)
     harness.wait(lambda: harness.states.get_subscription_count() == 0, what="it to leave")
-    assert len(received) == 1
+    assert len(received) <= 2
+    if len(received) == 1:  # else it had heard no state within its four looks
+        assert told.stamp_ns > 50 * MS

@@ -1,6 +1,7 @@
 """The recorder: it says what it missed and that it failed, and acknowledges nothing else."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -122,7 +123,9 @@ def test_states_are_asked_for_when_the_latched_reference_is_in_the_bag(harness, 
     harness.wait(lambda: publisher.get_subscription_count() == 1, what="the recorder")
     begin = time.monotonic()
     harness.wait(lambda: time.monotonic() > begin + 0.5, what="a moment")
-    assert harness.states.get_subscription_count() == 0
+    count, now = harness.states.get_subscription_count(), time.time()
+    (since,) = re.findall(r"\[(\d+\.\d+)\].*recording /joint_trajectory", recorder.log.read_text())
+    assert count == 0 or now > float(since) + 2.0  # for so long it waits for a latched reference
     publisher.publish(JointTrajectory(joint_names=["elbow"]))
     harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the states")
     harness.states.publish(state(0))
@@ -279,13 +282,16 @@ def test_a_bridge_that_records_has_every_state_and_ends_when_its_bag_is_gone(har
     events = Events(bridge)
     harness.wait(lambda: events.recorded() > 10, what="recorded states")
     assert not harness.subscribes("bag_recorder", "/joint_states")
-    harness.wait(commands.get_subscription_count, what="the bridge")
-    commands.publish(state(0))
-    harness.wait(lambda: events.last("recorded")["counts"]["/joint_commands"], what="a command")
+
+    def is_recorded():
+        commands.publish(state(0))
+        return events.last("recorded")["counts"]["/joint_commands"]
+
+    harness.wait(is_recorded, what="a command")
     acknowledged = events.recorded()
     (tmp_path / "bag").rename(tmp_path / "kept")
     harness.wait(lambda: bridge.process.poll() is not None, what="the bridge to end")
     assert bridge.process.returncode == 1
     saved = repair_bag(tmp_path / "kept", tmp_path / "repaired").saved
-    assert saved["/joint_commands"] == 1
+    assert saved["/joint_commands"] >= 1
     assert saved["/joint_states"] >= acknowledged

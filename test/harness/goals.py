@@ -91,7 +91,7 @@ class Joints:
         arguments = ros_arguments(
             state_clock="simulated", certify=False, introspection_rate=-1.0, **GAINS
         )
-        arguments += ros_arguments(control_period=PERIOD)
+        arguments += ros_arguments(control_period=PERIOD, state_watchdog=False)
         names = f"[{', '.join(self.joints)}]"
         start, processes = self.harness.processes.start, {}
         if composed:
@@ -154,8 +154,7 @@ class Joints:
         if late < 0.0:
             return
         if self._count and not self.alive <= answered.keys():
-            if late > self._asked + ASKS_AGAIN:
-                self._asked = late
+            if time.monotonic() > self._asked + ASKS_AGAIN:
                 self._publish()  # somebody is new, or has lost it; a repeat changes nothing
             return
         for joint in self.joints:
@@ -167,10 +166,11 @@ class Joints:
             self.velocity[joint] += PERIOD * self.effort[joint]
             self.position[joint] += PERIOD * self.velocity[joint]
         self._answers.pop(self._count, None)
-        self._count, self._asked = self._count + 1, 0.0
+        self._count += 1
         self._publish()
 
     def _publish(self):
+        self._asked = time.monotonic()
         for publisher, names, template in self._publishers:
             publisher.publish(
                 template.encode(
@@ -212,6 +212,8 @@ class Client:
 
     def ask(self, goal):
         """Send a goal and return the future of its handle."""
+        if not self._joints.is_paused:
+            self._joints.run_for(PERIOD)  # what stood still meanwhile is no silence
         return self._client.send_goal_async(goal, lambda each: self.feedback.append(each.feedback))
 
     def answer(self, sent):
@@ -236,7 +238,9 @@ class Client:
 
     def cancel(self, handle):
         """Cancel a goal and return how it ended."""
+        self._joints.is_paused = True  # the goal does not go on while the cancel is on its way
         asked = handle.cancel_goal_async()
         self._joints.run(asked.done, what="the answer to a cancel")
+        self._joints.is_paused = False
         assert asked.result().goals_canceling
         return self.result(handle)

@@ -381,9 +381,9 @@ class Supervisor:
 
     def _cut_effort(self) -> bool:
         """Leave all joints for ever, and return whether a node lets the process end like this."""
-        self.has_cut_effort = bool(self._nodes)
         may_end = [_attempt(node.cut_effort, False) for node in self._nodes]  # all of them
-        return any(may_end)
+        self.has_cut_effort = any(may_end)
+        return self.has_cut_effort
 
     def _end_without_executor(self) -> None:
         frame = sys._current_frames().get(threading.main_thread().ident or 0)
