@@ -1,5 +1,7 @@
 """Answers whose clients are not matched yet: they are sent again, and nothing waits for that."""
 
+import math
+import statistics
 import time
 import warnings
 from contextlib import contextmanager
@@ -14,6 +16,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from hpid_ros.base.files import find_resource
+from hpid_ros.nodes.core import services
 from hpid_ros.nodes.core.services import Answers
 
 LOST = "failed to send response (timeout): client will not receive response"
@@ -40,7 +43,8 @@ def send(answers, sender):
         sender()
 
 
-def test_what_is_lost_is_sent_again_until_it_is_not(harness):
+def test_what_is_lost_is_sent_again_until_it_is_not(harness, monkeypatch):
+    monkeypatch.setattr(services, "_BLOCKED", math.inf)  # a busy machine is no middleware
     answers, senders = Answers(harness.node), [Sender(losses) for losses in (0, 1, 3)]
     for sender in senders:
         send(answers, sender)
@@ -53,6 +57,7 @@ def test_what_is_lost_is_sent_again_until_it_is_not(harness):
 
 
 def test_of_answers_that_nobody_takes_the_newest_hundred_wait_ten_seconds(harness, monkeypatch):
+    monkeypatch.setattr(services, "_BLOCKED", math.inf)
     answers, senders = Answers(harness.node), [Sender(1000) for _ in range(150)]
     for sender in senders:
         send(answers, sender)
@@ -72,6 +77,7 @@ def test_where_the_middleware_has_waited_itself_it_is_not_asked_again(harness, m
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     send(answers, sender)
     monkeypatch.undo()
+    monkeypatch.setattr(services, "_BLOCKED", math.inf)
     later = Sender(1)
     send(answers, later)
     harness.wait(lambda: later.calls == 2, what="one that was lost at once")
@@ -93,11 +99,13 @@ def test_a_client_that_is_never_matched_stops_no_controller(harness):
         GetParameters, "elbow_controller/get_parameters", qos_profile=UNMATCHED
     )
     harness.ask_newcomer(1_000_000, 0.1)
-    begun = time.monotonic()
+    durations = []
     for sample in range(2, REQUESTS + 2):
+        begun = time.monotonic()
         client.call_async(GetParameters.Request(names=["joint"]))
         harness.ask(sample * 1_000_000, 0.1)
-    assert time.monotonic() - begun < WAIT * REQUESTS / 2
+        durations.append(time.monotonic() - begun)
+    assert statistics.median(durations) < WAIT / 2
 
 
 @needs_control_msgs
