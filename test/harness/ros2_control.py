@@ -82,12 +82,15 @@ class GroupController:
         self.node.create_subscription(Float64MultiArray, "~/commands", self._on_command, COMMANDS)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=spin, args=(self._executor,), daemon=True)
+        self._ended = threading.Event()
+        arguments = (self._executor, self._ended)
+        self._thread = threading.Thread(target=spin, args=arguments, daemon=True)
         self._thread.start()
 
     def close(self):
-        self._executor.shutdown()
+        self._ended.set()
         self._thread.join()
+        self._executor.shutdown()  # no earlier: rclpy takes from spin() what it spins with
         self.node.destroy_node()
 
     def _on_command(self, message):
@@ -117,9 +120,10 @@ class GroupController:
         return True
 
 
-def spin(executor):
+def spin(executor, ended):
     with contextlib.suppress(ExternalShutdownException):
-        executor.spin()
+        while not ended.is_set():
+            executor.spin_once(timeout_sec=0.1)
 
 
 class Ros2Control:
@@ -156,7 +160,9 @@ class Ros2Control:
             self._executor.add_node(node)
         self._manager.create_timer(self._dt, self._cycle)
         self._manager.create_timer(0.1, self._tell)
-        self._thread = threading.Thread(target=spin, args=(self._executor,), daemon=True)
+        self._ended = threading.Event()
+        arguments = (self._executor, self._ended)
+        self._thread = threading.Thread(target=spin, args=arguments, daemon=True)
         self._thread.start()
 
     def __enter__(self):
@@ -164,8 +170,9 @@ class Ros2Control:
 
     def __exit__(self, *error):
         self.unload()
-        self._executor.shutdown()
+        self._ended.set()
         self._thread.join()
+        self._executor.shutdown()  # no earlier: rclpy takes from spin() what it spins with
         for node in (self._manager, self._broadcaster):
             node.destroy_node()
 
