@@ -381,6 +381,7 @@ class Supervisor:
 
     def _cut_effort(self) -> bool:
         """Leave all joints for ever, and return whether a node lets the process end like this."""
+        self.has_cut_effort = True  # before: the executor must not begin a stop meanwhile
         may_end = [_attempt(node.cut_effort, False) for node in self._nodes]  # all of them
         self.has_cut_effort = any(may_end)
         return self.has_cut_effort
