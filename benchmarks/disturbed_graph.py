@@ -16,7 +16,7 @@ from hpid_ros.base.names import controller_name
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_run import GraphNodes, GraphOptions
-from hpid_ros.experiment.processes import NodeGroup, NodeProcess, require_no_sockets
+from hpid_ros.experiment.processes import NodeGroup, NodeProcess
 
 KINDS = ("kill", "terminate", "freeze")
 """SIGKILL and a restart; SIGTERM and a restart; SIGSTOP and, some time after, SIGCONT."""
@@ -90,20 +90,15 @@ class DisturbedGraph:
         self._starts = 0
         self._next_ns = 0
 
-    def start(self, *, is_closed: bool) -> None:
+    def start(self) -> None:
         """Start every node and wait for the first state.
 
-        Args:
-            is_closed: Whether the nodes must have no network sockets.
-
         Raises:
-            RunError: A node failed, or is open to the network.
+            RunError: A node failed.
         """
         self.nodes.start(self._group)
         self._processes.update(self._group.nodes)
         self._wait(lambda: (self.nodes.bridge, "started") in self.events, _UP_WITHIN, "a start")
-        if is_closed:
-            require_no_sockets([process.pid for process in self._processes.values()])
         self._plan_next()
 
     @property

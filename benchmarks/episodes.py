@@ -12,13 +12,13 @@ import yaml
 from numpy.typing import NDArray
 
 from benchmarks.disturbed_graph import SETTLE, DisturbedGraph, Fault
-from benchmarks.surroundings import own_surroundings
+from benchmarks.surroundings import loopback_environment
 from benchmarks.tracking import tracking
 from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.processes import NodeGroup
+from hpid_ros.experiment.processes import NodeGroup, own_domain
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import JointSeries, RunSeries
 
@@ -129,13 +129,13 @@ def run_episode(experiment: Experiment, calm: RunSeries, folder: Path, seed: int
     folder.mkdir()
     last_ns = round((experiment.duration - _LAST_FAULT) * _NS)
     with (
-        own_surroundings() as place,
-        NodeGroup(place.environment, folder, is_batch=True, prefix=place.prefix) as group,
+        own_domain() as domain,
+        NodeGroup(loopback_environment(domain), folder, is_batch=True) as group,
     ):
         graph = DisturbedGraph(
             experiment, LABEL, group, folder, folder / "bag", random.Random(seed)
         )
-        graph.start(is_closed=place.is_closed)
+        graph.start()
         while not graph.is_finished:
             graph.look()
             graph.disturb_when_due(last_ns)

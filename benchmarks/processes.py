@@ -32,7 +32,6 @@ class Scripts:
         environment: Their whole environment.
         logs: Existing folder for what they print to stderr.
         is_batch: Schedule them as batch jobs, as the package schedules its nodes in lock-step.
-        prefix: Command in front of each of theirs, for instance to enter a namespace.
     """
 
     def __init__(
@@ -41,9 +40,7 @@ class Scripts:
         logs: Path,
         *,
         is_batch: bool = False,
-        prefix: Sequence[str] = (),
     ) -> None:
-        self._prefix = prefix
         self._begin = Beginning(signal.SIGKILL, is_batch)
         self._environment = dict(environment)
         self._environment["PYTHONPATH"] = os.pathsep.join(
@@ -62,7 +59,7 @@ class Scripts:
         """
         with uninterrupted(), (self._logs / f"{name}.log").open("wb") as log:
             self.processes[name] = subprocess.Popen(
-                [*self._prefix, sys.executable, "-m", f"benchmarks.nodes.{module}", *arguments],
+                [sys.executable, "-m", f"benchmarks.nodes.{module}", *arguments],
                 cwd=ROOT,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,

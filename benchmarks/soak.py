@@ -10,24 +10,26 @@ unusable arguments, 130 interrupted.
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from benchmarks.disturbed_graph import DisturbedGraph, Fault
 from benchmarks.episodes import LABEL, is_planned, sines
-from benchmarks.leftovers import watched_leftovers
 from benchmarks.memory import private_bytes
 from benchmarks.processes import Scripts
-from benchmarks.surroundings import own_surroundings
+from benchmarks.surroundings import loopback_environment
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.processes import heed_interrupts, raise_if_interrupted
-from hpid_ros.experiment.processes import NodeGroup
+from hpid_ros.experiment.processes import NodeGroup, own_domain
 
 GROWTH_AT_MOST = 1.0  # [MiB] of any process after the warm-up
 RETUNES = 5.0  # sets of parameters in a second
@@ -51,7 +53,7 @@ class Soak:
         retunes: Sets of parameters by what became of them.
         unplanned: ``(joint, stamp)`` of samples that were missed outside of the faults.
         growth: Growth of each process's memory after its warm-up, in [MiB], by name and pid.
-        left: A line for each process, file of shared memory or thread that was left behind.
+        left: A line for each process or thread that was left behind.
     """
 
     states: int = 0
@@ -116,15 +118,16 @@ def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
         RunError: The graph failed.
     """
     result = Soak()
-    with watched_leftovers() as left, own_surroundings() as place:
+    with _leftovers() as left, own_domain() as domain:
+        environment = loopback_environment(domain)
         experiment = sines(folder, 60.0 * minutes, _FOREVER)
         with (
-            NodeGroup(place.environment, folder, is_batch=True, prefix=place.prefix) as group,
-            Scripts(place.environment, folder, prefix=place.prefix) as scripts,
+            NodeGroup(environment, folder, is_batch=True) as group,
+            Scripts(environment, folder) as scripts,
         ):
             chance = random.Random(seed)
             graph = DisturbedGraph(experiment, LABEL, group, folder, None, chance)
-            graph.start(is_closed=place.is_closed)
+            graph.start()
             arguments = [str(RETUNES), str(seed), *graph.joints]
             scripts.start("retuner", "retuner", arguments)
             memory = _Memory(60.0 * warm_up)
@@ -138,6 +141,20 @@ def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
         result.unplanned = [miss for miss in graph.misses if not is_planned(miss, graph.faults)]
     result.left = left
     return result
+
+
+@contextmanager
+def _leftovers() -> Iterator[list[str]]:
+    """Yield a list that afterwards has a line for each process and thread that was left behind."""
+    before, found = _present(), list[str]()
+    yield found
+    found += [f"left behind: {each}" for each in sorted(_present() - before)]
+
+
+def _present() -> set[str]:
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    threads = {f"thread {thread.name}" for thread in threading.enumerate()}
+    return threads | {f"process {pid}" for pid in children}
 
 
 def warm_up_of(minutes: float) -> float:

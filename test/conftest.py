@@ -13,9 +13,10 @@ from _pytest.faulthandler import fault_handler_stderr_fd_key
 from harness import control_msgs
 from harness.experiments import write_experiment
 from harness.fork_server import ForkedPopen
-from harness.graph import Harness, loopback_environment
+from harness.graph import Harness
 from hypothesis import settings
 
+from benchmarks.surroundings import loopback_environment
 from hpid_ros.experiment.processes import NodeGroup, own_domain
 
 # A busy machine is not a failure. Every run draws other examples, so that many runs see many.

@@ -5,16 +5,15 @@ import statistics
 import time
 import warnings
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
-from harness import graph
 from harness.goals import goal_of, needs_control_msgs
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from benchmarks.surroundings import LOOPBACK
 from hpid_ros.base.files import find_resource
 from hpid_ros.nodes.core import services
 from hpid_ros.nodes.core.services import Answers
@@ -87,7 +86,7 @@ def test_where_the_middleware_has_waited_itself_it_is_not_asked_again(harness, m
 @pytest.mark.parametrize("file", ["fastdds.xml", "fastdds_nodes.xml"])
 def test_with_our_profiles_no_answer_waits_for_its_client(file):
     """The test below has the suite's own, of which the others have all but the transports."""
-    paths = Path(graph.__file__).with_name("loopback.xml"), find_resource(f"config/{file}")
+    paths = LOOPBACK, find_resource(f"config/{file}")
     suites, ours = (ElementTree.parse(path).iterfind(".//{*}data_writer") for path in paths)
     assert [*map(ElementTree.tostring, ours)] == [*map(ElementTree.tostring, suites)]
 

@@ -1,7 +1,6 @@
 """A node inside the test that talks to real nodes in real processes."""
 
 import time
-from pathlib import Path
 
 import rclpy
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -10,8 +9,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from hpid_ros.base.names import PROFILE_FILES
-from hpid_ros.experiment.processes import NodeGroup, closed_environment
+from hpid_ros.experiment.processes import NodeGroup
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import OFFERED
 
@@ -22,14 +20,6 @@ _VALUES = {
     int: (ParameterType.PARAMETER_INTEGER, "integer_value"),
     str: (ParameterType.PARAMETER_STRING, "string_value"),
 }
-
-
-def loopback_environment(domain):
-    """Return the environment of a graph in which processes may be killed and frozen."""
-    environment = closed_environment(domain)
-    del environment["FASTDDS_BUILTIN_TRANSPORTS"]
-    profile = str(Path(__file__).with_name("loopback.xml"))
-    return environment | dict.fromkeys(PROFILE_FILES, profile)
 
 
 class Harness:
