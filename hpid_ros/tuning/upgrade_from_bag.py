@@ -248,15 +248,17 @@ def _read(
         selection=BagSelection(separates_runs=True),  # which are no one motion
         progress=lambda share: raise_if_interrupted(),
     ).with_slides(robot.description.slides)
-    loops, warnings = [], []
+    loops: list[LoopSettings] = []
+    left_out: dict[str, list[str]] = {}  # joints by the reason
     for joint, controller in controllers.items():
         if joint not in recording.joint_names or joint not in robot.description.joints:
             who = "the recording" if joint not in recording.joint_names else "the robot"
-            warnings.append(f"{joint} is left out: {who} does not have it")
+            left_out.setdefault(f"{who} does not have it", []).append(joint)
         elif is_wheel(joint, robot, base) and (reason := why_not_wheel(base, is_asked_for=True)):
-            warnings.append(f"{joint} is left out: {reason}")
+            left_out.setdefault(reason, []).append(joint)
         else:
             loops.append(controller.settings)
+    warnings = [f"left out: {', '.join(each)}: {reason}" for reason, each in left_out.items()]
     if not loops:
         raise SettingError(f"{bag}: no controller can be upgraded: {'; '.join(warnings)}")
     others = [f"{each.joint} (mu {each.mu:+g})" for each in loops if each.degree != 0.0]

@@ -59,7 +59,9 @@ def _export_plugin(options: argparse.Namespace, loops: Sequence[LoopSettings]) -
     print(
         f"hpid: certifying {len(loops)} loops; half a minute to two for each kind", file=sys.stderr
     )
-    with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
+    with joint_progress(
+        TextConsole(stderr=True), "certified", len(loops), is_logged=True
+    ) as progress:
         ranges = gain_ranges(judged, progress)
     files = package_files(package, ranges, controllers_text(loops), options.file.name)
     _refuse_in_the_way(options, files)
