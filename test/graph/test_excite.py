@@ -56,7 +56,7 @@ def read_estimates(file):
 
 
 def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness, tmp_path):
-    start_turntable(harness, tmp_path, pace=0.25)  # a controller that is late for 0.1 s ends it
+    start_turntable(harness, tmp_path, "lockstep")
     graph = running_graph()
     controllers = chosen(graph, [])
     (bounds,) = [bounds_of(each, INERTIA) for each in controllers]

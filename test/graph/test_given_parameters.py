@@ -299,11 +299,11 @@ def test_two_robots_side_by_side_are_two_robots(harness, experiment_file, tmp_pa
     from hpid_ros.experiment.description import load_experiment
 
     panda = yaml.safe_load((share_folder() / "config/experiments/panda.yaml").read_text())
-    panda |= {"duration": 0.1, "control": {"rate": 1000, "answer_timeout": 120.0}}
+    panda |= {"duration": 0.5, "control": {"rate": 1000, "answer_timeout": 120.0}}
     other = tmp_path / "panda.yaml"
     other.write_text(yaml.safe_dump(panda))
     experiments = {
-        "left": load_experiment(experiment_file(duration=0.1)),
+        "left": load_experiment(experiment_file(duration=0.5)),
         "right": load_experiment(other),
     }
     frames = {}

@@ -37,7 +37,7 @@ while motion.stage != "ended":
 
 @pytest.fixture(scope="module")
 def turntable(module_harness, tmp_path_factory):
-    start_turntable(module_harness, tmp_path_factory.mktemp("turntable"))
+    start_turntable(module_harness, tmp_path_factory.mktemp("turntable"), pace=0.5)
     return module_harness
 
 
@@ -58,6 +58,7 @@ class Bench:
         parameters |= {name.replace("__", "."): value for name, value in GAINS.items()}
         parameters |= {"joint": "turn", "law": "pid", "control_period": 0.004}
         parameters |= {"robot_description": URDF, "introspection_rate": 20.0}
+        parameters |= {"state_clock": "simulated", "state_watchdog": False}
         seen = Controller.of(NODE, {**parameters, "require_certificate": False})
         seen = replace(seen, position=0.0, effort=0.0)
         self.graph = RunningGraph.of([seen], has_commands=True)

@@ -76,10 +76,13 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page):
     type_into(page, re.escape("lasts [s]"), 2.0)
     page.get_by_role("button", name="Get ready").click()
     hold_until(page, "in force", "measuring")
-    hold_until(page, "chosen", "moving")  # let go in the middle: it is prepared once more
-    logged(page, "trial: chosen: stopped: the button was released")
+    page.mouse.up()
+    hold_until(page, "chosen", "moving")
+    page.mouse.up()  # in the middle: it is prepared once more
+    logged(page, of_trial("chosen", "stopped: the button was released"))
     wait_for_rest(harness)
-    hold_until(page, "chosen, attempt 2", "measuring")
+    hold_until(page, "chosen", "measuring")
+    page.mouse.up()
     row = page.get_by_role("row").filter(has_text="ITAE")
     before, after, ratio = (float(each) for each in row.inner_text().split("\t")[1:4])
     assert ratio == pytest.approx(after / before, rel=0.02)
@@ -94,14 +97,10 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page):
 
 def test_stop_ends_what_is_ready_and_a_press_cannot_move_a_stopped_joint(harness, page):
     page.get_by_role("tab", name="Try").click()
-    hold = page.get_by_role("button", name="hold to run, release to stop")
+    hold = hold_button(page)
     expect(hold).to_be_disabled()
-    page.get_by_role("button", name="Get ready").click()
-    page.get_by_text("in force: preparing", exact=True).wait_for()
-    hold.hover()
-    page.mouse.down()  # too early, and held on
+    press_too_early(page)
     logged(page, "trial: not ready yet: let go, and press again when the button is green")
-    page.get_by_text("in force: ready: let go, then hold the button", exact=True).wait_for()
     assert positions(harness).std() < 1e-4
     page.mouse.up()
     page.get_by_text(re.compile("^in force: hold the button")).wait_for()
@@ -122,18 +121,50 @@ def test_stop_ends_what_is_ready_and_a_press_cannot_move_a_stopped_joint(harness
     assert positions(harness, 1.0).std() < 1e-4
 
 
+def of_trial(label, text):
+    """Return what the log has of a motion, or of another attempt at it."""
+    return re.compile(rf"trial: {label}(, attempt \d+)?: {text}")
+
+
+def said(page, label, text):
+    """Return where the page says of a motion how far it is."""
+    return page.get_by_text(re.compile(rf"^{label}(, attempt \d+)?: {text}"))
+
+
+def hold_button(page):
+    return page.get_by_role("button", name="hold to run, release to stop")
+
+
+def press_too_early(page):
+    """Have a motion prepared, and hold the button before it is ready."""
+    while True:
+        page.get_by_role("button", name="Get ready").click()
+        said(page, "in force", "(preparing|hold the button)").wait_for()
+        hold_button(page).hover()
+        page.mouse.down()
+        ignored = said(page, "in force", "ready: let go, then hold the button")
+        ignored.or_(said(page, "in force", "moving")).first.wait_for()
+        if ignored.count():
+            return
+        page.mouse.up()  # it was ready before the press came
+        page.get_by_role("button", name="Cancel").click()
+        logged(page, "trial: cancelled")
+
+
 def hold_until(page, label, stage):
-    """Hold the button when a motion is ready, until it is at a stage."""
-    hold = page.get_by_role("button", name="hold to run, release to stop")
-    page.get_by_text(re.compile(f"^{label}: hold the button")).wait_for()
-    expect(hold).to_be_enabled(timeout=LATE)
-    hold.hover()
-    page.mouse.down()
-    if stage == "moving":
-        page.get_by_text(f"{label}: moving", exact=True).wait_for()
-    else:
-        logged(page, f"trial: {label}: {stage}")
-    page.mouse.up()
+    """Hold the button when a motion is ready, until it is at a stage, and go on."""
+    log = page.get_by_role("listitem").filter(has_text=of_trial(label, stage))
+    reached = said(page, label, stage) if stage == "moving" else log
+    lapsed = said(page, label, "ready: let go, then hold the button")
+    while True:
+        said(page, label, "hold the button").wait_for()
+        expect(hold_button(page)).to_be_enabled()
+        hold_button(page).hover()
+        page.mouse.down()
+        reached.or_(lapsed).first.wait_for()
+        if reached.count():
+            return
+        page.mouse.up()
 
 
 def test_what_is_not_certified_is_refused_in_the_nodes_words_and_stays_chosen(harness, page):
@@ -158,13 +189,9 @@ def test_a_page_that_is_ended_during_a_trial_sets_back_what_was_tried(harness, t
     page.get_by_role("combobox", name="first with").click()
     page.get_by_role("option", name="what is chosen").click()
     page.get_by_role("button", name="Get ready").click()
-    hold = page.get_by_role("button", name="hold to run, release to stop")
-    page.get_by_text(re.compile("^chosen: hold the button")).wait_for()
+    said(page, "chosen", "hold the button").wait_for()
     assert proportional_gain(harness) == before + 5.0
-    expect(hold).to_be_enabled(timeout=LATE)
-    hold.hover()
-    page.mouse.down()
-    page.get_by_text("chosen: moving", exact=True).wait_for()
+    hold_until(page, "chosen", "moving")
     tuner.process.send_signal(signal.SIGINT)  # Ctrl-C, while joints move
     harness.wait(lambda: tuner.process.poll() is not None, what="the page's end")
     assert tuner.process.returncode == 0
