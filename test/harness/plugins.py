@@ -81,7 +81,7 @@ def run_threads(folder, parameters, sanitizer):
     if subprocess.run(probe, input=b"int main() {}", check=False, capture_output=True).returncode:
         pytest.skip(f"the C++ compiler has no sanitizer of {sanitizer}")
     program = compile_plugin(folder, *options, driver="threads.cpp")
-    return subprocess.run([program], capture_output=True, text=True, check=False)
+    return subprocess.run([program], capture_output=True, text=True, check=False, timeout=300)
 
 
 SHA256 = """

@@ -42,7 +42,32 @@ int main()
     rclcpp::graph().joint_states.clear();
   }
   control.join();
-  cleanup(controller);
+  // A manager that is shut down deactivates and cleans up beside its control loop.
+  for (int round = 0; round < 200; ++round) {
+    activate(controller);
+    std::atomic<int> cycles = 0;
+    is_over = false;
+    std::thread late([&] {
+      for (; !is_over; ++cycles) {
+        const rclcpp::Time now(INT64_C(1000000) * (6001 + 1000 * round + cycles));
+        controller->update_and_write_commands(now, now);
+      }
+    });
+    while (cycles < 10) {
+      std::this_thread::yield();
+    }
+    deactivate(controller);
+    tick();
+    rclcpp::graph().joint_states.clear();
+    if (round == 199) {
+      cleanup(controller);
+    }
+    is_over = true;
+    late.join();
+    if (*controller->command_interfaces_.front().get_optional() != 0.0) {
+      return 3;
+    }
+  }
   destroy(controller);
   return 0;
 }

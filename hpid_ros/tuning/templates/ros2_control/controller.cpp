@@ -16,6 +16,7 @@ namespace
 
 constexpr auto kPeriod = std::chrono::milliseconds(10);
 constexpr int kReportsEvery = 100;  // periods
+constexpr auto kPause = std::chrono::microseconds(20);
 
 }  // namespace
 
@@ -118,6 +119,9 @@ controller_interface::CallbackReturn HpidController::on_activate(const State &)
 controller_interface::CallbackReturn HpidController::on_deactivate(const State &)
 {
   is_active_ = false;
+  while (is_updating_) {  // a manager that is shut down deactivates beside its control loop
+    std::this_thread::sleep_for(kPause);
+  }
   Cycle * cycle = cycles_.back();
   for (std::size_t i = 0; i < joints_.size(); ++i) {
     Joint & joint = joints_[i]->joint();
@@ -208,6 +212,16 @@ controller_interface::return_type HpidController::update_reference_from_subscrib
 controller_interface::return_type HpidController::update_and_write_commands(
   const rclcpp::Time & time, const rclcpp::Duration &)
 {
+  is_updating_ = true;
+  if (is_active_) {
+    cycle(time);
+  }
+  is_updating_ = false;
+  return controller_interface::return_type::OK;
+}
+
+void HpidController::cycle(const rclcpp::Time & time)
+{
   const std::size_t kinds = has_velocities_ ? 2 : 1;
   const bool is_chained = is_in_chained_mode();
   Cycle * cycle = cycles_.back();
@@ -238,7 +252,6 @@ controller_interface::return_type HpidController::update_and_write_commands(
   } else {
     lost_.fetch_add(1, std::memory_order_relaxed);
   }
-  return controller_interface::return_type::OK;
 }
 
 void HpidController::on_timer()

@@ -57,6 +57,7 @@ private:
     const std::vector<std::string> & kinds) const;
   void open();
   void close();
+  void cycle(const rclcpp::Time & time);
   void on_timer();
   void publish(const Cycle & cycle);
   void send(rclcpp::Publisher<Message> & publisher, const Message & message);
@@ -66,6 +67,7 @@ private:
   bool has_velocities_ = true;
   std::vector<std::unique_ptr<JointNode>> joints_;
   std::atomic<bool> is_active_ = false;
+  std::atomic<bool> is_updating_ = false;
   std::atomic<bool> is_chained_ = false;
   std::atomic<std::uint64_t> lost_ = 0;        // cycles that nobody could hear of
   std::atomic<std::uint64_t> unreadable_ = 0;  // joints whose handles another thread had
