@@ -179,6 +179,10 @@ class Plugin:
         numbers = [each for pair in references for each in pair]
         self._call("ask", (ctypes.c_double * len(numbers))(*numbers))
 
+    def keep_command(self, tries):
+        """Have another thread hold the first joint's command for so many tries to set it."""
+        self._call("keep_command", ctypes.c_int(tries))
+
     def set_busy(self, is_busy):
         self._call("set_busy", ctypes.c_bool(is_busy))
 

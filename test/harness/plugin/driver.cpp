@@ -85,6 +85,11 @@ void ask(HpidController * c, const double * references)
 
 void set_busy(HpidController * c, bool is_busy) { c->state_interfaces_.front().is_busy = is_busy; }
 
+void keep_command(HpidController * c, int tries)
+{
+  c->command_interfaces_.front().busy_tries = tries;
+}
+
 void tick()
 {
   for (const auto & each : rclcpp::graph().timers) {

@@ -396,12 +396,18 @@ public:
   Interface() = default;
   Interface(const std::string &, const std::string &) {}
   std::optional<double> get_optional() const { return is_busy ? std::nullopt : value_; }
-  bool set_value(double value)
+  bool set_value(double value, unsigned int max_tries = 10)
   {
-    value_ = value;
-    return true;
+    for (; busy_tries > 0 && max_tries > 0; --max_tries) {
+      --busy_tries;
+    }
+    if (max_tries > 0) {
+      value_ = value;
+    }
+    return max_tries > 0;
   }
   bool is_busy = false;
+  int busy_tries = 0;  // of setting
 
 private:
   std::optional<double> value_ = std::numeric_limits<double>::quiet_NaN();

@@ -250,6 +250,17 @@ def test_what_is_left_gets_no_effort_and_is_held_again_where_it_is_then(active):
     assert cycle(1, speed=0.0) == [0.0, 0.0]
 
 
+@pytest.mark.parametrize(("tries", "is_left"), [(5000, True), (20000, False)])
+def test_a_zero_is_not_lost_where_another_thread_has_the_command(active, tries, is_left):
+    cycle = Cycle(active)
+    cycle(5)
+    active.told()
+    active.keep_command(tries)
+    assert active.deactivate()
+    assert (cycle(1)[0] == 0.0) is is_left
+    assert ("may keep its last effort" in active.told()) is not is_left
+
+
 def test_one_joint_is_left_alone_and_the_others_go_on(active):
     cycle = Cycle(active)
     cycle(5)

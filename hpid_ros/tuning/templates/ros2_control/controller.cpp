@@ -17,6 +17,7 @@ namespace
 constexpr auto kPeriod = std::chrono::milliseconds(10);
 constexpr int kReportsEvery = 100;  // periods
 constexpr auto kPause = std::chrono::microseconds(20);
+constexpr unsigned int kTries = 10000;  // for a zero that must not be lost
 
 }  // namespace
 
@@ -134,8 +135,11 @@ controller_interface::CallbackReturn HpidController::on_deactivate(const State &
   if (cycle != nullptr && !joints_.empty()) {
     cycles_.push();
   }
-  for (auto & interface : command_interfaces_) {
-    std::ignore = interface.set_value(0.0);
+  for (std::size_t i = 0; i < command_interfaces_.size(); ++i) {
+    if (!command_interfaces_[i].set_value(0.0, kTries)) {
+      const auto line = names_[i] + " may keep its last effort: another thread has its command";
+      RCLCPP_ERROR(get_node()->get_logger(), "%s", line.c_str());
+    }
   }
   return CallbackReturn::SUCCESS;
 }
