@@ -82,7 +82,7 @@ def send_with(service: Service, send: Callable[[Any, Any], None]) -> None:
 
 
 class MatchCounter:
-    """How many subscriptions a publisher has ever been matched with.
+    """How many subscriptions a publisher has ever been matched with, and how many it is now.
 
     Uses the ``EventHandle`` below ``rclpy.event_handler``. The public way is a callback, which
     comes after whatever the executor does first; this is true at the time of the call, also where
@@ -96,9 +96,10 @@ class MatchCounter:
         self._handle = _private(library, "EventHandle", purpose)(publisher.handle, kind)
         self.destroy = self._handle.destroy_when_not_in_use
 
-    def __call__(self) -> int:
+    def __call__(self) -> tuple[int, int]:
         with self._handle:
-            return int(self._handle.take_event().total_count)
+            status = self._handle.take_event()
+            return int(status.total_count), int(status.current_count)
 
 
 def taker(subscription: Subscription) -> Callable[[], bytes | None]:

@@ -72,7 +72,7 @@ INTERFACES = {
 class GroupOutput:
     """Publishes merged commands of the joints that were set last.
 
-    One that is guarded publishes nothing from the moment in which the middleware has matched a
+    One that is guarded publishes nothing from the moment in which the middleware knows of a
     subscription that has not been looked at yet: it may be a controller with other joints.
     """
 
@@ -99,20 +99,27 @@ class GroupOutput:
             event_callbacks=PublisherEventCallbacks(matched=lambda _: matched()),
         )
         self._counter = MatchCounter(self.publisher) if is_guarded else None
-        self._settled = 0
+        self._count_known = partial(node.count_subscribers, self.publisher.topic_name)
+        self._settled = (0, 0)
 
     @property
-    def matches(self) -> int:
-        """How many subscriptions it has ever been matched with; 0 if it is not guarded."""
-        return self._counter() if self._counter else 0
+    def matches(self) -> tuple[int, int]:
+        """How many subscriptions it was ever matched with, and are known beyond its matches now.
+
+        Fast DDS puts one into the graph, then sends to it, and only then counts it as a match.
+        """
+        if self._counter is None:
+            return 0, 0
+        ever, now = self._counter()
+        return ever, self._count_known() - now
 
     @property
     def is_settled(self) -> bool:
         """Whether all subscriptions have been looked at."""
         return self.matches == self._settled
 
-    def settle(self, matches: int) -> None:
-        """Note that so many subscriptions have been looked at, of all that there have been."""
+    def settle(self, matches: tuple[int, int]) -> None:
+        """Note that the subscriptions of these matches have been looked at."""
         self._settled = matches
 
     def set_joints(self, joints: Sequence[str]) -> None:
