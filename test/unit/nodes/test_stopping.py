@@ -11,7 +11,7 @@ from hpid_ros.nodes.parts.goals import LEAD_NS, Braking, coast_down, return_to, 
 MS = 1_000_000
 SECOND = 1_000_000_000
 LEAD = LEAD_NS / SECOND
-SPEEDS = st.floats(-3.0, 3.0)
+SPEEDS = st.floats(-3.0, 3.0, allow_subnormal=False)
 DECELERATIONS = st.floats(0.5, 30.0)
 
 
