@@ -161,8 +161,9 @@ class JointLoop:
 
     def _drop_relay(self, reason: str) -> None:
         """End a relay at once, without another effort: the caller decides about that."""
-        self.end_relay(reason)
-        self._law.relay = None
+        if self._law.relay is not None:
+            self._law.relay.drop(reason)
+            self._law.relay = None
 
     def retune(self, settings: LoopSettings) -> None:
         """Apply other settings from the next sample on, as a whole.

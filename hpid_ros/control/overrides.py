@@ -184,6 +184,11 @@ class Relay:
         """Give back from now on."""
         self.ending = self.ending or reason
 
+    def drop(self, reason: str) -> None:
+        """End at once: what it has given is taken over from elsewhere."""
+        self.end(reason)
+        self._weight = 0.0
+
     def update(self, error: float, error_rate: float, replaced: float, dt: float) -> float:
         """Take one sample and return what is added to the law's effort, in [N m]."""
         request = self._request

@@ -56,7 +56,7 @@ class RelayTester(MovingNode):
         if _IN_FORCE in relay:
             self._was_in_force = True
         elif self._was_in_force:
-            ending = relay.rpartition(";")[0]
+            ending = relay.rpartition(";")[0] or f"{self._controller} knows of no relay any more"
             self._end("" if ending == DONE else ending)
         elif self._told.get("refused references") != self._refused:
             self._end(self._told.get("last fault", "the relay was refused"))

@@ -23,6 +23,7 @@ from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer, require_nanoseconds
 from hpid_ros.motion.joint_trajectory import JointTrajectory, Point
 
+_MOST_NAMES = 1_000  # that are looked at before the rest is
 MOST_POINTS = 50_000
 """Points of one layout that a message may have."""
 
@@ -56,6 +57,19 @@ class TrajectoryArrays(NamedTuple):
             for start, length in zip(self.starts[index], self.lengths[index], strict=True)
         )
         return int(self.times_ns[index]), p, v, a, e
+
+
+def named_joints(raw: bytes) -> tuple[str, ...] | None:
+    """Return whose trajectory a message is, without its points; None if that cannot be read."""
+    try:
+        cursor = Cursor(raw, "JointTrajectory")
+        for code in "iI":
+            cursor.scalar(code)
+        cursor.string()
+        count = cursor.scalar("I")
+        return tuple(cursor.string() for _ in range(count)) if count <= _MOST_NAMES else None
+    except MessageError:
+        return None
 
 
 def decode_trajectory(

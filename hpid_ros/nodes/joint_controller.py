@@ -265,7 +265,7 @@ class JointController(ManagedNode):
     def _on_state(self, raw: bytes) -> None:
         began_ns = time.perf_counter_ns()
         self._supervised.note_past_timeout(began_ns)
-        if not self._is_listening:  # it was on its way when the joint was left
+        if self._is_left():  # it was on its way
             return
         try:
             sample = self._reader.read(raw)
@@ -278,11 +278,16 @@ class JointController(ManagedNode):
         model = self._model
         by_model = None if model is None else partial(model.answer, self._loop, sample, raw)
         effort = self._supervised.answer(*sample, began_ns, by_model)
+        if self._is_left():  # the state came too late for a damping stop
+            return
         self._commands.send(sample.stamp_ns, effort)
         if self._readiness is not None:
             self._note_first_states()
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
+
+    def _is_left(self) -> bool:
+        return not self._is_listening
 
     def _note_first_states(self) -> None:
         """Watch for a state timeout from the first state; a usable one completes the start."""

@@ -108,6 +108,8 @@ class RobotStates:
         state = self._state
         if stamp_ns == self._stamp_ns and state is not None:
             return state
+        if not self._settings.velocity.is_measured:
+            velocities = None  # the remedy for drivers that fill in what is no number
         fault = self._fault(positions, velocities, efforts)
         if fault:
             return self.hold(stamp_ns, fault)

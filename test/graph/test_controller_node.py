@@ -124,6 +124,24 @@ def test_a_refused_set_says_why_and_leaves_no_trace(harness):
             assert harness.ask(*state) == twin.step(*state)
 
 
+def test_of_a_request_with_a_value_that_is_none_nothing_is_set(harness):
+    harness.start_controller(law="pid", **GAINS)
+    for wrong in ({"gains__d": "4O.0"}, {"gain__d": 40.0}):
+        changes = {"gains__p": 400.0, **wrong}
+        assert not harness.set_parameters("elbow_controller", atomically=False, **changes)[0]
+    twin = pure_loop(law="pid", **GAINS)
+    for state in states(5):
+        assert harness.ask(*state) == twin.step(*state)
+
+
+def test_a_joint_that_had_no_usable_state_is_left_without_an_effort(harness):
+    node = harness.start_controller(law="pid", fallback_effort=5.0, **GAINS)
+    assert harness.ask_newcomer(MS, 0.1, velocity=math.nan) == 5.0
+    node.process.terminate()
+    harness.wait(lambda: node.process.poll() is not None, what="the end")
+    harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a zero")
+
+
 def test_the_robots_effort_limit_holds_whatever_the_clamps_say(harness):
     joint = "arm_joint_6"  # 4 N m in the URDF
     harness.start_controller(

@@ -132,7 +132,8 @@ def _whole_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
         free = [
             change for _, change in changes if not node.describe_parameter(change.name).read_only
         ]
-        whole = _set(node, free)
+        reason = next((each.reason for each in results if not each.successful), "")
+        whole = _refused(reason) if reason else _set(node, free)
         for index, change in changes:
             results[index] = whole if change in free else _set(node, [change])
         response.results = results

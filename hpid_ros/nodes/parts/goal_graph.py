@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.messages.joint_state import GroupReader, JointReader
-from hpid_ros.messages.joint_trajectory import encode_trajectory
+from hpid_ros.messages.joint_trajectory import encode_trajectory, named_joints
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import (
     LATCHED,
@@ -105,20 +106,21 @@ class GroupTopics:
         return names - {self._node.get_fully_qualified_name()}
 
     def _on_trajectory(self, raw: bytes) -> None:
-        if raw not in self._own and self._follower.is_active:
-            reference_decoder().decode(self, raw, partial(self._decoded, self._sent))
+        if raw in self._own or not self._follower.is_active:
+            return
+        names, own = named_joints(raw), self._follower.settings.joints
+        named = tuple(joint for joint in own if names is None or joint in names)
+        if named:
+            take = partial(self._decoded, self._sent, named)
+            reference_decoder().decode((self, named), raw, take)
 
-    def _decoded(self, sent: int, decoded: Decoded) -> None:
-        """Find out, on the decoder's thread, whose joints follow this."""
+    def _decoded(self, sent: int, named: Sequence[str], decoded: Decoded) -> None:
+        """Find out, on the decoder's thread, whether the joints follow this."""
         if isinstance(decoded, Exception):
             return  # no controller follows what cannot be read
-        named = [joint for joint in self._follower.settings.joints if joint in decoded.names]
-        try:
-            is_followed = bool(named) and column_of(decoded, named[0]) is not None
-        except HpidError:
-            return
-        if is_followed:
-            self._node.hand_over(self._yield, sent, named)
+        with contextlib.suppress(HpidError):
+            if column_of(decoded, named[0]) is not None:
+                self._node.hand_over(self._yield, sent, named)
 
     def _yield(self, sent: int, named: Sequence[str]) -> None:
         if sent == self._sent:  # else controllers have been sent something newer since

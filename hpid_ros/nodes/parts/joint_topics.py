@@ -248,12 +248,13 @@ class Commands:
                 self._stamp_ns = stamp_ns
                 self._send(stamp_ns, effort)
 
-    def leave(self, stamp_ns: int) -> None:
-        """Publish a zero, the last command until the next state is answered."""
+    def leave(self) -> bool:
+        """Publish a zero if there is a command to replace; the last one until the next state."""
         with self._lock:
-            self._stamp_ns = None
-            if not self._is_cut:
+            stamp_ns, self._stamp_ns = self._stamp_ns, None
+            if stamp_ns is not None and not self._is_cut:
                 self._send(stamp_ns, 0.0)
+            return stamp_ns is not None
 
     def fall_back(self, effort: float, is_due: Callable[[], bool]) -> None:
         if not self._lock.acquire(timeout=_LOCK_WITHIN):

@@ -150,7 +150,6 @@ class ControllerStop:
         self._node, self._joint, self._commands, self._finish = node, joint, commands, finish
         self._timer: Timer | None = None
         self._ended: Future | None = None
-        self._stamp_ns: int | None = None
         self._is_unacknowledged = False
 
     @property
@@ -159,7 +158,6 @@ class ControllerStop:
 
     def begin(self) -> None:
         """Leave the joint, at once or with a ramp."""
-        self._stamp_ns = self._joint.loop.stamp_ns
         if not self._joint.damp(self._duration):
             self.now()
             return
@@ -181,11 +179,7 @@ class ControllerStop:
             self._timer.cancel()
             self._node.destroy_timer(self._timer)
             self._timer = None
-        stamp_ns = self._joint.loop.stamp_ns if self._stamp_ns is None else self._stamp_ns
-        self._stamp_ns = None
-        if stamp_ns is not None:
-            self._commands.leave(stamp_ns)
-            self._is_unacknowledged = True
+        self._is_unacknowledged |= self._commands.leave()
         self._finish()
         if self._ended is not None and not self._ended.done():
             self._ended.set_result(None)

@@ -214,7 +214,7 @@ class ReceiverWatch:
         self._changed()
         self._settle(matches, are_all_known)
 
-    def _settle(self, matches: int, are_all_known: bool) -> None:
+    def _settle(self, matches: tuple[int, int], are_all_known: bool) -> None:
         """Let the output go on once it is known whose all subscriptions are."""
         if are_all_known:
             self._output.settle(matches)

@@ -27,6 +27,7 @@ from hpid_ros.messages.joint_trajectory import (
     TrajectoryArrays,
     decode_float64,
     decode_trajectory,
+    named_joints,
 )
 from hpid_ros.messages.reports import decode_numbers
 from hpid_ros.motion.joint_trajectory import (
@@ -199,9 +200,12 @@ class ControllerReferences:
         self._subscriptions = []
 
     def _on_trajectory(self, raw: bytes) -> None:
+        names = named_joints(raw)
+        if names is not None and self._joint not in names:
+            return  # what others follow, as what nobody can read, replaces nothing that waits
         self._arrived += 1
         take = partial(self._decoded, self._arrived, self._reason_against())
-        reference_decoder().decode(self, raw, take)
+        reference_decoder().decode((self, names is None), raw, take)
 
     def _decoded(self, number: int, reason_against: str, decoded: Decoded) -> None:
         """Take the joint's own column on the decoder's thread, and hand it to the executor's."""

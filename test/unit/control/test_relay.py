@@ -108,6 +108,7 @@ def test_whatever_comes_in_between_ends_a_relay(act, reason, is_at_once):
     act(joint.loop)
     assert reason in joint.loop.relay.ending
     if is_at_once:
+        assert joint.loop.relay.is_over
         with pytest.raises(SettingError):
             joint.begin()
     else:  # it gives back gradually

@@ -48,7 +48,8 @@ def test_nothing_follows_the_last_zero_of_another_thread():
     commands.cut()
     commands.send(4 * MS, 8.0)
     commands.fall_back(1.5, lambda: True)
-    commands.leave(4 * MS)
+    assert commands.leave()
+    assert not commands.leave()
     commands.cut()
     assert sent == [
         (MS, 5.0),
@@ -62,7 +63,7 @@ def test_nothing_follows_the_last_zero_of_another_thread():
 def test_a_joint_that_was_left_is_not_commanded_by_another_thread():
     commands, sent = recorded_commands()
     commands.send(MS, 5.0)
-    commands.leave(MS)
+    assert commands.leave()
     commands.fall_back(1.5, lambda: True)
     commands.cut()
     assert sent == [(MS, 5.0), (MS, 0.0)]
@@ -102,7 +103,7 @@ class Listener:
     """What :class:`ControllerReferences` needs of a node."""
 
     def __init__(self, monkeypatch):
-        self.tasks, self.decoding = [], []
+        self.tasks, self.decoding = [], {}
         self.callbacks, self.followed, self.refused = {}, [], []
         self.reason = ""
         monkeypatch.setattr(controller_references, "reference_decoder", lambda: self)
@@ -124,18 +125,28 @@ class Listener:
         pass
 
     def decode(self, source, raw, take):
-        self.decoding.append((raw, take))
+        self.decoding[source] = raw, take
 
     def hand_over(self, callback, *arguments):
         self.tasks.append(lambda: callback(*arguments))
 
     def finish(self):
         """Decode what has come, and let the executor run."""
-        for raw, take in self.decoding:
+        for raw, take in self.decoding.values():
             take(decoded(raw))
         for task in self.tasks:
             task()
-        self.decoding, self.tasks = [], []
+        self.decoding, self.tasks = {}, []
+
+
+def test_what_others_follow_and_what_nobody_can_read_replaces_nothing_that_waits(monkeypatch):
+    listener = Listener(monkeypatch)
+    for raw in (trajectory(1.0), trajectory(2.0), trajectory(3.0, "another"), b"\x00"):
+        listener.trajectory(raw)
+    listener.finish()
+    (followed,) = listener.followed
+    assert followed.knots[0].position == 2.0
+    assert len(listener.refused) == 1
 
 
 def test_the_reference_that_came_last_wins_however_long_one_takes_to_decode(monkeypatch):

@@ -324,6 +324,15 @@ def test_bad_states_leave_no_trace_in_the_velocities():
     assert found.velocities[0] > 8.0
 
 
+def test_velocities_that_nobody_uses_may_be_no_numbers():
+    filtered, loop = states(), {"joint": "a", "velocity_source": "filtered"}
+    filtered.retune(LoopSettings.from_parameters(loop))
+    for stamp_ns in (0, 1_000_000):
+        found = filtered.observe(stamp_ns, (0.1, 0.2), (math.nan, math.nan), (0.0, 0.0))
+    assert found.velocities == [0.0, 0.0]
+    assert states().observe(0, (0.1, 0.2), (math.nan, 0.0), (0.0, 0.0)) is None
+
+
 def test_a_repeat_changes_nothing_and_a_clock_that_goes_back_starts_anew():
     observed = states()
     first = observed.observe(SECOND, (0.0, 0.0), None, (1.0, 1.0))
