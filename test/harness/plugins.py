@@ -179,6 +179,10 @@ class Plugin:
         numbers = [each for pair in references for each in pair]
         self._call("ask", (ctypes.c_double * len(numbers))(*numbers))
 
+    def cannot_read(self):
+        """Tell whether a cycle throws where a state is no double."""
+        return bool(self._call("cannot_read"))
+
     def keep_command(self, tries):
         """Have another thread hold the first joint's command for so many tries to set it."""
         self._call("keep_command", ctypes.c_int(tries))

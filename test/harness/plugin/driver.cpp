@@ -85,6 +85,20 @@ void ask(HpidController * c, const double * references)
 
 void set_busy(HpidController * c, bool is_busy) { c->state_interfaces_.front().is_busy = is_busy; }
 
+/// Returns whether a cycle throws where a state is no double.
+bool cannot_read(HpidController * c)
+{
+  const rclcpp::Time time(0);
+  auto & state = c->state_interfaces_.front();
+  state.is_of_another_type = true;
+  try {
+    c->update_and_write_commands(time, time);
+  } catch (const std::exception &) {
+    state.is_of_another_type = false;
+  }
+  return !state.is_of_another_type;
+}
+
 void keep_command(HpidController * c, int tries)
 {
   c->command_interfaces_.front().busy_tries = tries;

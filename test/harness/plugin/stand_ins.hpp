@@ -395,7 +395,14 @@ public:
   using SharedPtr = std::shared_ptr<Interface>;
   Interface() = default;
   Interface(const std::string &, const std::string &) {}
-  std::optional<double> get_optional() const { return is_busy ? std::nullopt : value_; }
+  std::optional<double> get_optional() const
+  {
+    if (is_of_another_type) {
+      throw std::runtime_error("Data type is not double");
+    }
+    return is_busy ? std::nullopt : value_;
+  }
+  bool is_of_another_type = false;
   bool set_value(double value, unsigned int max_tries = 10)
   {
     for (; busy_tries > 0 && max_tries > 0; --max_tries) {

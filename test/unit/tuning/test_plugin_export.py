@@ -261,6 +261,14 @@ def test_a_zero_is_not_lost_where_another_thread_has_the_command(active, tries, 
     assert ("may keep its last effort" in active.told()) is not is_left
 
 
+def test_a_controller_whose_cycle_threw_can_be_left(active):
+    cycle = Cycle(active)
+    cycle(5)
+    assert active.cannot_read()
+    assert active.deactivate()
+    assert cycle(1)[0] == 0.0
+
+
 def test_one_joint_is_left_alone_and_the_others_go_on(active):
     cycle = Cycle(active)
     cycle(5)

@@ -19,6 +19,17 @@ constexpr int kReportsEvery = 100;  // periods
 constexpr auto kPause = std::chrono::microseconds(20);
 constexpr unsigned int kTries = 10000;  // for a zero that must not be lost
 
+/// True for as long as it is there, also where a handle of another type throws.
+class Updating
+{
+public:
+  explicit Updating(std::atomic<bool> & flag) : flag_(flag) { flag_ = true; }
+  ~Updating() { flag_ = false; }
+
+private:
+  std::atomic<bool> & flag_;
+};
+
 }  // namespace
 
 HpidController::~HpidController() { close(); }
@@ -216,11 +227,10 @@ controller_interface::return_type HpidController::update_reference_from_subscrib
 controller_interface::return_type HpidController::update_and_write_commands(
   const rclcpp::Time & time, const rclcpp::Duration &)
 {
-  is_updating_ = true;
+  const Updating updating(is_updating_);
   if (is_active_) {
     cycle(time);
   }
-  is_updating_ = false;
   return controller_interface::return_type::OK;
 }
 
