@@ -133,6 +133,7 @@ class Plugin:
         self._made = self._library.make(is_chained, update_rate)
         self.log = self._text(self._library.logged())
         self.is_configured = bool(self._made)
+        self._stamp_ns = 0
 
     def _override(self, node, values):
         kinds = {float: ctypes.c_double, bool: ctypes.c_bool}
@@ -166,18 +167,35 @@ class Plugin:
     def cleanup(self):
         return self._call("cleanup")
 
-    def update(self, stamp_ns, *states):
-        """Return the efforts that answer positions and velocities, a pair for each joint."""
+    def update(self, stamp_ns, *states, period_ns=None):
+        """Return the efforts that answer positions and velocities, a pair for each joint.
+
+        Without a period it is the time since the last update.
+        """
+        if period_ns is None:
+            period_ns = stamp_ns - self._stamp_ns
+        self._stamp_ns = stamp_ns
         numbers = [each for pair in states for each in pair]
         efforts = (ctypes.c_double * len(self.joints))()
         given = (ctypes.c_double * len(numbers))(*numbers)
-        self._call("update", ctypes.c_int64(stamp_ns), given, efforts)
+        self._call("update", ctypes.c_int64(stamp_ns), ctypes.c_int64(period_ns), given, efforts)
         return list(efforts)
 
     def ask(self, *references):
         """Ask for positions and velocities as a preceding controller does."""
         numbers = [each for pair in references for each in pair]
         self._call("ask", (ctypes.c_double * len(numbers))(*numbers))
+
+    def set_chained(self, is_chained):
+        """Begin or end chained mode as a manager does, within one cycle."""
+        assert self.deactivate()
+        self._library.tick(0)
+        self._call("set_chained", ctypes.c_bool(is_chained))
+        assert self.activate()
+
+    def set_type(self, *, is_double):
+        """Give the first joint's position another type, or its own again."""
+        self._call("set_type", ctypes.c_bool(is_double))
 
     def cannot_read(self):
         """Tell whether a cycle throws where a state is no double."""
@@ -192,7 +210,7 @@ class Plugin:
 
     def tick(self):
         """Let the other thread do what is due."""
-        self._library.tick()
+        self._library.tick(10)
 
     def node(self, joint):
         return f"/hpid_controller/{joint}_controller"
@@ -214,6 +232,10 @@ class Plugin:
 
     def lifecycle(self, joint):
         return self._text(self._library.lifecycle(self.node(joint).encode()))
+
+    def verdict(self, joint):
+        """Return the level and the line of its newest diagnostics."""
+        return self._text(self._library.verdict(self.node(joint).encode()))
 
     def health(self, joint, key):
         """Return what its newest diagnostics say of a key."""
@@ -261,7 +283,8 @@ _RESULTS = {
     "deactivate": ctypes.c_bool,
     "cleanup": ctypes.c_bool,
     **dict.fromkeys(
-        ("take", "set_numbers", "transition", "lifecycle", "logged", "health"), ctypes.c_char_p
+        ("take", "set_numbers", "transition", "lifecycle", "logged", "health", "verdict"),
+        ctypes.c_char_p,
     ),
 }
 

@@ -1,5 +1,5 @@
 // What a test calls of an exported controller, by ctypes.
-#include <cstring>
+#include <string>
 
 #include "controller.hpp"
 
@@ -63,14 +63,18 @@ bool deactivate(HpidController * c) { return is_good(c->on_deactivate(kBefore));
 bool cleanup(HpidController * c) { return is_good(c->on_cleanup(kBefore)); }
 
 /// One cycle. Numbers of the joints: position and velocity of each; what comes of it: the efforts.
-void update(HpidController * c, std::int64_t stamp_ns, const double * states, double * efforts)
+void update(
+  HpidController * c, std::int64_t stamp_ns, std::int64_t period_ns, const double * states,
+  double * efforts)
 {
   for (auto & each : c->state_interfaces_) {
     each.set_value(*states++);
   }
   const rclcpp::Time time(stamp_ns);
-  c->update_reference_from_subscribers(time, time);
-  c->update_and_write_commands(time, time);
+  const rclcpp::Duration period(period_ns);
+  rclcpp::graph().steady_ns += period_ns;
+  c->update_reference_from_subscribers(time, period);
+  c->update_and_write_commands(time, period);
   for (const auto & each : c->command_interfaces_) {
     *efforts++ = *each.get_optional();
   }
@@ -83,20 +87,29 @@ void ask(HpidController * c, const double * references)
   }
 }
 
+void set_chained(HpidController * c, bool is_chained) { c->prepare(is_chained); }
+
 void set_busy(HpidController * c, bool is_busy) { c->state_interfaces_.front().is_busy = is_busy; }
+
+void set_type(HpidController * c, bool is_double)
+{
+  c->state_interfaces_.front().is_of_another_type = !is_double;
+}
 
 /// Returns whether a cycle throws where a state is no double.
 bool cannot_read(HpidController * c)
 {
   const rclcpp::Time time(0);
-  auto & state = c->state_interfaces_.front();
-  state.is_of_another_type = true;
+  const rclcpp::Duration period(0);
+  set_type(c, false);
+  bool has_thrown = false;
   try {
-    c->update_and_write_commands(time, time);
+    c->update_and_write_commands(time, period);
   } catch (const std::exception &) {
-    state.is_of_another_type = false;
+    has_thrown = true;
   }
-  return !state.is_of_another_type;
+  set_type(c, true);
+  return has_thrown;
 }
 
 void keep_command(HpidController * c, int tries)
@@ -104,8 +117,9 @@ void keep_command(HpidController * c, int tries)
   c->command_interfaces_.front().busy_tries = tries;
 }
 
-void tick()
+void tick(int milliseconds)
 {
+  rclcpp::graph().steady_ns += 1000000 * milliseconds;
   for (const auto & each : rclcpp::graph().timers) {
     each();
   }
@@ -140,8 +154,12 @@ const char * set_numbers(
 const char * transition(const char * node, const char * which)
 {
   auto * found = LifecycleNode::all().at(node);
-  return kept(
-    (std::strcmp(which, "activate") == 0 ? found->activate() : found->deactivate()).label());
+  const std::string name = which;
+  const auto & state = name == "activate" ? found->activate()
+    : name == "deactivate"                ? found->deactivate()
+    : name == "cleanup"                   ? found->cleanup()
+                                          : found->shutdown();
+  return kept(state.label());
 }
 
 const char * lifecycle(const char * node)
@@ -163,11 +181,11 @@ void trajectory(
   const double * accelerations)
 {
   trajectory_msgs::msg::JointTrajectory message;
-  message.header.stamp = rclcpp::Time(stamp_ns);
+  message.header.stamp = rclcpp::Duration(stamp_ns);
   message.joint_names = {joint};
   for (int k = 0; k < points; ++k) {
     trajectory_msgs::msg::JointTrajectoryPoint point;
-    point.time_from_start = rclcpp::Time(times_ns[k]);
+    point.time_from_start = rclcpp::Duration(times_ns[k]);
     point.positions = {positions[k]};
     if (velocities != nullptr) {
       point.velocities = {velocities[k]};
@@ -199,6 +217,17 @@ const char * take(const char * topic, std::int64_t * stamp_ns, double * numbers)
     }
   }
   return kept(names);
+}
+
+/// Returns the level and the line of the newest health of a node.
+const char * verdict(const char * node)
+{
+  for (const auto & status : rclcpp::graph().health.status) {
+    if (status.name == node) {
+      return kept(std::to_string(status.level) + " " + status.message);
+    }
+  }
+  return "";
 }
 
 /// Returns what the newest health of a node says of a key.

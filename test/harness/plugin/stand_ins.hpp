@@ -3,6 +3,7 @@
 #ifndef STAND_INS_HPP_
 #define STAND_INS_HPP_
 
+#include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <functional>
@@ -103,15 +104,22 @@ struct Transition
 };
 }  // namespace lifecycle_msgs::msg
 
+enum rcl_clock_type_t { RCL_STEADY_TIME };
+
 namespace rclcpp
 {
 
 class Time
 {
 public:
-  explicit Time(std::int64_t nanoseconds) : nanoseconds_(nanoseconds) {}
+  explicit Time(std::int64_t nanoseconds) : nanoseconds_(nanoseconds)
+  {
+    if (nanoseconds < 0) {
+      throw std::runtime_error("cannot store a negative time point in rclcpp::Time");
+    }
+  }
   Time(const builtin_interfaces::msg::Time & time)  // NOLINT
-  : nanoseconds_(time.sec * INT64_C(1000000000) + time.nanosec)
+  : Time(time.sec * INT64_C(1000000000) + time.nanosec)
   {
   }
   std::int64_t nanoseconds() const { return nanoseconds_; }
@@ -126,7 +134,27 @@ public:
 private:
   std::int64_t nanoseconds_;
 };
-using Duration = Time;
+
+class Duration
+{
+public:
+  explicit Duration(std::int64_t nanoseconds) : nanoseconds_(nanoseconds) {}
+  Duration(const builtin_interfaces::msg::Duration & duration)  // NOLINT
+  : nanoseconds_(duration.sec * INT64_C(1000000000) + duration.nanosec)
+  {
+  }
+  std::int64_t nanoseconds() const { return nanoseconds_; }
+  operator builtin_interfaces::msg::Duration() const
+  {
+    builtin_interfaces::msg::Duration found;
+    found.sec = static_cast<std::int32_t>(nanoseconds_ / 1000000000);
+    found.nanosec = static_cast<std::uint32_t>(nanoseconds_ % 1000000000);
+    return found;
+  }
+
+private:
+  std::int64_t nanoseconds_;
+};
 
 class Parameter
 {
@@ -157,6 +185,7 @@ struct Graph
   std::vector<std::function<void()>> timers;
   diagnostic_msgs::msg::DiagnosticArray health;  // the newest
   unsigned int update_rate = 0;                  // [Hz] of the controller_manager
+  std::atomic<std::int64_t> steady_ns = 0;       // passes with updates and ticks
   std::map<std::string, std::map<std::string, Parameter::Value>> overrides;  // by node's name
 };
 inline Graph & graph()
@@ -164,6 +193,13 @@ inline Graph & graph()
   static Graph one;
   return one;
 }
+
+class Clock
+{
+public:
+  explicit Clock(rcl_clock_type_t) {}
+  Time now() const { return Time(graph().steady_ns); }
+};
 
 struct QoS
 {
@@ -334,6 +370,8 @@ public:
   using Callback = std::function<Result(const State &)>;
   void register_on_activate(Callback callback) { on_activate_ = std::move(callback); }
   void register_on_deactivate(Callback callback) { on_deactivate_ = std::move(callback); }
+  void register_on_cleanup(Callback callback) { on_cleanup_ = std::move(callback); }
+  void register_on_shutdown(Callback callback) { on_shutdown_ = std::move(callback); }
   const State & configure() { return state_ = {lifecycle_msgs::msg::State::PRIMARY_STATE_INACTIVE, "inactive"}; }
   const State & activate()
   {
@@ -347,6 +385,16 @@ public:
     on_deactivate_(state_);
     return configure();
   }
+  const State & cleanup()
+  {
+    on_cleanup_(state_);
+    return state_ = {1, "unconfigured"};
+  }
+  const State & shutdown()
+  {
+    on_shutdown_(state_);
+    return state_ = {4, "finalized"};
+  }
   const State & get_current_state() const { return state_; }
 
 private:
@@ -354,7 +402,7 @@ private:
   std::map<std::string, rclcpp::Parameter::Value> values_;
   std::function<rcl_interfaces::msg::SetParametersResult(const Parameters &)> on_set_;
   std::function<void(const Parameters &)> on_changed_;
-  Callback on_activate_, on_deactivate_;
+  Callback on_activate_, on_deactivate_, on_cleanup_, on_shutdown_;
   State state_ = {1, "unconfigured"};
 };
 

@@ -24,7 +24,7 @@ int main()
       }
       position += 1e-6;
       const double states[] = {position, 0.01, position, 0.01};
-      update(controller, k * INT64_C(1000000), states, efforts);
+      update(controller, k * INT64_C(1000000), 1000000, states, efforts);
     }
     is_over = true;
   });
@@ -38,7 +38,7 @@ int main()
     if (k % 50 == 0) {
       transition("/hpid_controller/wrist_controller", k % 100 ? "deactivate" : "activate");
     }
-    tick();
+    tick(10);
     rclcpp::graph().joint_states.clear();
   }
   control.join();
@@ -50,14 +50,14 @@ int main()
     std::thread late([&] {
       for (; !is_over; ++cycles) {
         const rclcpp::Time now(INT64_C(1000000) * (6001 + 1000 * round + cycles));
-        controller->update_and_write_commands(now, now);
+        controller->update_and_write_commands(now, rclcpp::Duration(1000000));
       }
     });
     while (cycles < 10) {
       std::this_thread::yield();
     }
     deactivate(controller);
-    tick();
+    tick(10);
     rclcpp::graph().joint_states.clear();
     if (round == 199) {
       cleanup(controller);

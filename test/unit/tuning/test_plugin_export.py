@@ -119,16 +119,22 @@ def test_a_chained_controller_answers_as_python_does_to_the_last_bit(make):
     plugin = make(is_chained=True)
     assert plugin.activate()
     given = [GivenLoop(each) for each in LOOPS]
-    for stamp_ns, reference, rate, position, velocity in states_by_chance(
-        random.Random(5), 20_000, 1e-3
+    for stamp_ns, reference, rate, position, velocity in positive(
+        states_by_chance(random.Random(5), 20_000, 1e-3)
     ):
-        if not all(map(math.isfinite, (reference, rate))):
+        if not (abs(reference) <= LARGEST_POSITION and math.isfinite(rate)):
             continue  # the joint is held then, and no state is one that cannot be used
         speed = math.nan if velocity is None else velocity
         plugin.ask((reference, rate), (reference, rate))
         efforts = plugin.update(stamp_ns, (position, speed), (position, speed))
         wanted = [each.step(stamp_ns, reference, rate, position, speed) for each in given]
         assert efforts == wanted
+
+
+def positive(states):
+    """Yield states whose stamps a clock of ROS can have."""
+    for stamp_ns, *numbers in states:
+        yield stamp_ns + 2 * 10**12, *numbers
 
 
 class Cycle:
@@ -188,11 +194,21 @@ def test_states_that_have_ended_give_the_fallback_and_then_a_takeover_as_pythons
     both(50, by=1e-5)
     both(100, by=0.0)  # within state_timeout
     assert given.loop.note_timeout() == 0.25
-    for _ in range(30):
+    active.tick()
+    for _ in range(1000):
         assert cycle(1, by=0.0)[0] == 0.25
+        active.tick()
+    assert active.verdict("elbow") == "2 no new state: fallback_effort"
+    assert active.set("elbow", fallback_effort=0.5) == ""
+    given.loop.retune(given.loop.settings.with_parameters({"fallback_effort": 0.5}))
+    for _ in range(30):
+        assert cycle(1, by=0.0)[0] == 0.5
     both(200, by=1e-5)
+    for _ in range(100):
+        active.tick()
+    assert active.verdict("elbow") == "0 active"
     # A joint at rest says the same for ever, and is believed.
-    assert cycle(500, by=0.0, speed=0.0)[0] != 0.25
+    assert cycle(500, by=0.0, speed=0.0)[0] != 0.5
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.01])
@@ -221,11 +237,42 @@ def test_after_a_standstill_of_the_manager_the_state_from_before_is_none(active,
     assert cycle(300, by=0.0, speed=0.0)[0] != held
 
 
+@pytest.mark.parametrize("step_ns", [-3600 * 10**9, -MS, 50 * MS, 10**10])
+def test_nothing_moves_where_the_computers_clock_is_set(active, step_ns):
+    cycle, given = Cycle(active), GivenLoop(LOOPS[0])
+    held = cycle.position + 1e-5
+    for _ in range(100):
+        found = cycle(1)[0]
+        assert found == given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
+    for _ in range(100):
+        cycle.position += 1e-5
+        cycle.stamp_ns += MS
+        now_ns = 10**13 + cycle.stamp_ns + step_ns
+        found = active.update(now_ns, *[(cycle.position, 0.01)] * 2, period_ns=MS)[0]
+        assert found == given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
+    # A trajectory begins when the clock that was set says so.
+    active.trajectory("elbow", now_ns + 50 * MS, [0, 100 * MS], [held, 0.4])
+    for k in range(1, 200):
+        states = [(cycle.position + 1e-5 * k, 0.01)] * 2
+        found = reference_of(active, "elbow", now_ns + k * MS, states)[0]
+        assert (found != pytest.approx(held, abs=1e-9)) is (k > 50)
+
+
 def test_what_is_no_number_gives_the_fallback(active):
     cycle = Cycle(active)
     cycle(5)
     assert cycle(1, speed=math.nan)[0] == 0.25
     assert cycle(1, by=math.inf) == [0.25, 0.0]
+
+
+def test_a_joint_that_begins_with_nonsense_is_held_where_its_first_state_has_it(active):
+    rest = [(0.1, 0.0)] * 2
+    for k, nonsense in enumerate((math.nan, 2e9)):
+        assert active.update(10**9 + k * MS, (nonsense, 0.0), (0.1, 0.0))[0] == 0.25
+    assert reference_of(active, "elbow", 10**9 + 2 * MS, rest)[0] == 0.1
+    for k in range(1000):
+        after = active.update(10**9 + (3 + k) * MS, *rest)[0]
+    assert after != 0.25
 
 
 def test_a_state_that_another_thread_has_for_an_instant_leaves_the_effort(active):
@@ -269,6 +316,90 @@ def test_a_controller_whose_cycle_threw_can_be_left(active):
     assert cycle(1)[0] == 0.0
 
 
+def test_states_of_another_type_are_refused(active):
+    active.deactivate()
+    active.tick()
+    active.set_type(is_double=False)
+    assert not active.activate()
+    assert "not double" in active.told()
+    active.set_type(is_double=True)
+    assert active.activate()
+
+
+def test_nothing_moves_where_chained_mode_begins_or_ends(make):
+    plugin = make()
+    plugin.activate()
+    cycle, given = Cycle(plugin), GivenLoop(LOOPS[0])
+
+    def both(count):
+        """Return what was asked for in the last cycle; each effort is that of one loop."""
+        for _ in range(count):
+            found = cycle(1)[0]
+            plugin.tick()
+            *_, (_, rows) = plugin.taken("joint_commands")
+            asked, rate, effort = rows["elbow"]
+            assert effort == found
+            assert effort == given.step(cycle.stamp_ns, asked, rate, cycle.position, 0.01)
+        return asked, rate
+
+    plugin.trajectory("elbow", 0, [500 * MS], [0.4])
+    before, _ = both(200)
+    plugin.set_chained(True)
+    assert both(100) == (before, 0.0)
+    plugin.ask((0.3, 0.5), (0.1, 0.0))
+    assert both(100) == (0.3, 0.5)
+    plugin.set_chained(False)
+    assert both(100) == (0.3, 0.0)
+    plugin.set_chained(True)
+    assert both(100) == (0.3, 0.0)
+
+
+def test_what_another_controller_asks_of_a_wrapping_joint_takes_the_shorter_way(make):
+    plugin = make(
+        is_chained=True,
+        elbow={"angle_wraparound": True, "position_max": 1e6, "position_min": -1e6},
+    )
+    plugin.activate()
+    plugin.update(10**9, (3.0, 0.0), (0.0, 0.0))
+    for k in range(1, 200):
+        wanted = 3.0 + 0.01 * k
+        plugin.ask((math.remainder(wanted, 2.0 * math.pi), 1.0), (0.0, 0.0))
+        plugin.update(10**9 + k * MS, (wanted, 1.0), (0.0, 0.0))
+        plugin.tick()
+        *_, (_, rows) = plugin.taken("joint_commands")
+        assert rows["elbow"][0] == pytest.approx(wanted, abs=1e-9)
+
+
+@pytest.mark.parametrize("way", ["cleanup", "shutdown"])
+def test_a_joint_whose_node_has_ended_gets_no_effort(active, way):
+    cycle = Cycle(active)
+    cycle(5)
+    active.tick()
+    if way == "cleanup":
+        active.deactivate()
+        active.tick()
+    assert active.transition("elbow", way) == {"cleanup": "unconfigured"}.get(way, "finalized")
+    if way == "cleanup":
+        active.activate()
+    assert [effort != 0.0 for effort in cycle(2)] == [False, True]
+
+
+def test_a_joint_that_a_person_left_stays_so_until_a_person_has_it_controlled(active):
+    cycle = Cycle(active)
+    active.tick()
+    active.transition("elbow", "deactivate")
+    for begin in (active.activate, lambda: active.set_chained(False)):
+        active.deactivate()
+        active.tick()
+        begin()
+        active.tick()
+        assert active.lifecycle("elbow") == "inactive"
+        assert active.lifecycle("wrist") == "active"
+        assert [effort != 0.0 for effort in cycle(2)] == [False, True]
+    assert active.transition("elbow", "activate") == "active"
+    assert cycle(2)[0] != 0.0
+
+
 def test_one_joint_is_left_alone_and_the_others_go_on(active):
     cycle = Cycle(active)
     cycle(5)
@@ -289,14 +420,14 @@ def test_a_set_is_taken_from_the_next_cycle_on_as_python_takes_it(make):
     plugin = make(is_chained=True)
     plugin.activate()
     given, chance = GivenLoop(LOOPS[0]), random.Random(3)
-    for number, (stamp_ns, *numbers) in enumerate(states_by_chance(chance, 600, 1e-3)):
+    for number, (stamp_ns, *numbers) in enumerate(positive(states_by_chance(chance, 600, 1e-3))):
         if number in (200, 400):
             gains = {"gains.p": 41.0, "gains.d": 4.1} if number == 200 else {"mu": -0.15}
             changes = {name.replace(".", "__"): value for name, value in gains.items()}
             assert plugin.set("elbow", **changes) == ""
             given.loop.retune(given.loop.settings.with_parameters(gains))
         reference, rate, position, velocity = numbers
-        if not all(map(math.isfinite, (reference, rate))):
+        if not (abs(reference) <= LARGEST_POSITION and math.isfinite(rate)):
             continue
         speed = math.nan if velocity is None else velocity
         plugin.ask((reference, rate), (0.0, 0.0))
@@ -443,6 +574,12 @@ def test_a_trajectory_that_is_none_is_refused_and_the_joint_is_held(
     assert reference_of(active, "elbow", 10**9 + MS, rest) == (0.1, 0.0)
 
 
+def test_a_trajectory_before_all_time_is_refused(active):
+    active.update(10**9, *[(0.1, 0.0)] * 2)
+    active.trajectory("elbow", -(10**9), [MS], [0.2])
+    assert "its stamp is negative" in active.told()
+
+
 def test_references_are_refused_while_nobody_may_give_them(make):
     plugin = make()
     plugin.setpoint("elbow", 0.4)
@@ -472,8 +609,11 @@ def test_every_command_of_a_recording_is_the_laws(active, tmp_path):
             active.transition("elbow", "deactivate")
         if k == 1300:
             active.transition("elbow", "activate")
+        if k == 2200:
+            active.set_chained(False)
         if k == 2400:
             active.deactivate()
+            active.tick()
             active.activate()
         still = 1800 <= k < 1950
         cycle(1, by=0.0 if still else chance.gauss(0.0, 1e-4), speed=0.3)

@@ -3,6 +3,7 @@
 #include <chrono>
 #include <exception>
 #include <tuple>
+#include <utility>
 
 #include "ament_index_cpp/get_package_share_directory.hpp"
 #include "certificate.hpp"
@@ -16,6 +17,7 @@ namespace
 
 constexpr auto kPeriod = std::chrono::milliseconds(10);
 constexpr int kReportsEvery = 100;  // periods
+constexpr std::int64_t kRestart_ns = 5000000;  // chained mode begins or ends in less
 constexpr auto kPause = std::chrono::microseconds(20);
 constexpr unsigned int kTries = 10000;  // for a zero that must not be lost
 
@@ -81,7 +83,7 @@ void HpidController::open()
     throw std::invalid_argument("parameter joints must name at least one joint");
   }
   for (auto & cycle : cycles_.places()) {
-    cycle.resize(joints_.size());
+    cycle.joints.resize(joints_.size());
   }
   const auto node = joints_.front()->node();
   const auto deep = rclcpp::QoS(4000);
@@ -94,9 +96,20 @@ void HpidController::open()
     executor_->add_node(joint->node()->get_node_base_interface());
   }
   closing_ = std::promise<void>();
-  thread_ = std::thread([this, closed = closing_.get_future().share()] {
-    executor_->spin_until_future_complete(closed);  // of spin() a cancel() before it is lost
-  });
+  thread_ = std::thread([this, closed = closing_.get_future().share()] { spin(closed); });
+}
+
+/// What throws in a callback ends that callback, and not the manager's process.
+void HpidController::spin(const std::shared_future<void> & closed)
+{
+  for (bool is_over = false; !is_over;) {
+    try {
+      executor_->spin_until_future_complete(closed);  // of spin() a cancel() before it is lost
+      is_over = true;
+    } catch (const std::exception & error) {
+      RCLCPP_ERROR(get_node()->get_logger(), "%s", error.what());
+    }
+  }
 }
 
 void HpidController::close()
@@ -113,19 +126,43 @@ void HpidController::close()
   diagnostics_.reset();
   executor_.reset();
   joints_.clear();
+  last_ = nullptr;
 }
 
 controller_interface::CallbackReturn HpidController::on_activate(const State &)
 {
-  is_active_ = true;
+  const bool is_restart = goes_on();
+  has_stamp_ = has_stamp_ && is_restart;
+  try {
+    for (const auto & each : state_interfaces_) {
+      std::ignore = each.get_optional();  // throws where it is no number
+    }
+    for (std::size_t i = 0; i < command_interfaces_.size(); ++i) {
+      const double effort = is_restart ? joints_[i]->joint().resume() : 0.0;
+      std::ignore = command_interfaces_[i].set_value(effort);
+    }
+  } catch (const std::exception & error) {
+    RCLCPP_ERROR(get_node()->get_logger(), "%s", error.what());
+    return CallbackReturn::FAILURE;
+  }
   for (const auto & interface : ordered_exported_reference_interfaces_) {
     std::ignore = interface->set_value(kNaN);
   }
-  for (const auto & each : joints_) {
-    each->joint().begin();
-    each->joint().is_enabled = true;
-  }
+  is_active_ = true;
   return CallbackReturn::SUCCESS;
+}
+
+/// Where chained mode begins or ends, a manager deactivates and activates the controller within one
+/// cycle. The joints do not feel it: returns whether this is such an activation.
+bool HpidController::goes_on()
+{
+  Cycle * last = std::exchange(last_, nullptr);
+  const bool is_at_once =
+    last != nullptr && clock_.now().nanoseconds() - last->left_ns < kRestart_ns;
+  if (is_at_once) {
+    last->is_void = true;
+  }
+  return is_at_once;
 }
 
 controller_interface::CallbackReturn HpidController::on_deactivate(const State &)
@@ -134,16 +171,17 @@ controller_interface::CallbackReturn HpidController::on_deactivate(const State &
   while (is_updating_) {  // a manager that is shut down deactivates beside its control loop
     std::this_thread::sleep_for(kPause);
   }
-  Cycle * cycle = cycles_.back();
+  last_ = cycles_.back();
   for (std::size_t i = 0; i < joints_.size(); ++i) {
-    Joint & joint = joints_[i]->joint();
-    joint.is_enabled = false;
-    const Record record = joint.step(0, kNaN, nullptr, nullptr);  // it is left
-    if (cycle != nullptr) {
-      (*cycle)[i] = record;
+    const Record record = joints_[i]->joint().leave();
+    if (last_ != nullptr) {
+      last_->joints[i] = record;
     }
   }
-  if (cycle != nullptr && !joints_.empty()) {
+  if (last_ != nullptr) {
+    last_->is_last = true;
+    last_->is_void = false;
+    last_->left_ns = clock_.now().nanoseconds();
     cycles_.push();
   }
   for (std::size_t i = 0; i < command_interfaces_.size(); ++i) {
@@ -225,16 +263,19 @@ controller_interface::return_type HpidController::update_reference_from_subscrib
 }
 
 controller_interface::return_type HpidController::update_and_write_commands(
-  const rclcpp::Time & time, const rclcpp::Duration &)
+  const rclcpp::Time & time, const rclcpp::Duration & period)
 {
   const Updating updating(is_updating_);
   if (is_active_) {
-    cycle(time);
+    // Time passes by periods: a clock that is set would be a gap, or one that has gone back.
+    stamp_ns_ = has_stamp_ ? stamp_ns_ + period.nanoseconds() : time.nanoseconds();
+    has_stamp_ = true;
+    cycle(stamp_ns_, time.nanoseconds() - stamp_ns_);
   }
   return controller_interface::return_type::OK;
 }
 
-void HpidController::cycle(const rclcpp::Time & time)
+void HpidController::cycle(std::int64_t stamp_ns, std::int64_t ahead_ns)
 {
   const std::size_t kinds = has_velocities_ ? 2 : 1;
   const bool is_chained = is_in_chained_mode();
@@ -251,17 +292,18 @@ void HpidController::cycle(const rclcpp::Time & time)
     Record record;
     if (position && velocity) {
       record = joints_[i]->joint().step(
-        time.nanoseconds(), *position, has_velocities_ ? &*velocity : nullptr,
-        is_chained ? &reference : nullptr);
+        stamp_ns, *position, has_velocities_ ? &*velocity : nullptr,
+        is_chained ? &reference : nullptr, ahead_ns);
       std::ignore = command_interfaces_[i].set_value(record.effort);
     } else {  // the handle is another thread's for this instant: the effort stays
       unreadable_.fetch_add(1, std::memory_order_relaxed);
     }
     if (cycle != nullptr) {
-      (*cycle)[i] = record;
+      cycle->joints[i] = record;
     }
   }
   if (cycle != nullptr) {
+    cycle->is_last = cycle->is_void = false;
     cycles_.push();
   } else {
     lost_.fetch_add(1, std::memory_order_relaxed);
@@ -274,7 +316,12 @@ void HpidController::on_timer()
     joint->follow_lifecycle();
   }
   while (const Cycle * cycle = cycles_.front()) {
-    publish(*cycle);
+    if (cycle->is_last && clock_.now().nanoseconds() - cycle->left_ns < 2 * kRestart_ns) {
+      break;  // it may go on
+    }
+    if (!cycle->is_void) {
+      publish(*cycle);
+    }
     cycles_.pop();
   }
   if (ticks_++ % kReportsEvery == 0) {
@@ -288,8 +335,8 @@ void HpidController::publish(const Cycle & cycle)
 {
   Message states, answers;
   answers.header.frame_id = get_node()->get_fully_qualified_name();
-  for (std::size_t i = 0; i < cycle.size(); ++i) {
-    const Record & record = cycle[i];
+  for (std::size_t i = 0; i < cycle.joints.size(); ++i) {
+    const Record & record = cycle.joints[i];
     if (record.kind == Record::Kind::kNothing) {
       continue;
     }

@@ -3,6 +3,7 @@
 #define CONTROLLER_HPP_
 
 #include <atomic>
+#include <cstdint>
 #include <future>
 #include <memory>
 #include <string>
@@ -13,6 +14,7 @@
 #include "diagnostic_msgs/msg/diagnostic_array.hpp"
 #include "handover.hpp"
 #include "joint_node.hpp"
+#include "rclcpp/clock.hpp"
 #include "rclcpp/executors/single_threaded_executor.hpp"
 #include "sensor_msgs/msg/joint_state.hpp"
 
@@ -51,13 +53,23 @@ protected:
 private:
   using Message = sensor_msgs::msg::JointState;
   using Diagnostics = diagnostic_msgs::msg::DiagnosticArray;
-  using Cycle = std::vector<Record>;  // of all joints
+
+  /// What became of all joints in a cycle, or when the controller was deactivated.
+  struct Cycle
+  {
+    std::vector<Record> joints;
+    bool is_last = false;               // before the controller was deactivated
+    std::int64_t left_ns = 0;           // when that was
+    std::atomic<bool> is_void = false;  // it was activated again at once
+  };
 
   controller_interface::InterfaceConfiguration interfaces(
     const std::vector<std::string> & kinds) const;
   void open();
   void close();
-  void cycle(const rclcpp::Time & time);
+  void cycle(std::int64_t stamp_ns, std::int64_t ahead_ns);
+  bool goes_on();
+  void spin(const std::shared_future<void> & closed);
   void on_timer();
   void publish(const Cycle & cycle);
   void send(rclcpp::Publisher<Message> & publisher, const Message & message);
@@ -71,6 +83,10 @@ private:
   std::atomic<bool> is_chained_ = false;
   std::atomic<std::uint64_t> lost_ = 0;        // cycles that nobody could hear of
   std::atomic<std::uint64_t> unreadable_ = 0;  // joints whose handles another thread had
+  rclcpp::Clock clock_{RCL_STEADY_TIME};
+  std::int64_t stamp_ns_ = 0;  // of the loops
+  bool has_stamp_ = false;     // since it was activated
+  Cycle * last_ = nullptr;     // at its deactivation
   Queue<Cycle, 4096> cycles_;
 
   // What has time: a thread of its own.

@@ -24,14 +24,30 @@ void Joint::begin()
 {
   {{ c }}_reset(&loop_);
   is_controlled_ = true;
-  is_standing_ = is_silent_ = false;
-  if (motion.has_new()) {  // of before
+  is_standing_ = false;
+  is_silent = false;
+  drop_motion();
+}
+
+/// Holds the reference that there is; what was asked for before is over.
+void Joint::drop_motion()
+{
+  follower_.stand(asked_.position);
+  if (motion.has_new()) {
     motion.take();
   }
 }
 
+double Joint::resume()
+{
+  is_controlled_ = was_controlled_;
+  drop_motion();
+  return is_controlled_ ? loop_.effort : 0.0;
+}
+
 Record Joint::step(
-  std::int64_t stamp_ns, double position, const double * velocity, const Reference * chained)
+  std::int64_t stamp_ns, double position, const double * velocity, const Reference * chained,
+  std::int64_t ahead_ns)
 {
   while (const Settings * next = retunings.front()) {
     {{ c }}_retune(&loop_, next);
@@ -46,17 +62,19 @@ Record Joint::step(
   Record record;
   const Age state = age(stamp_ns, position, velocity);
   if (state != Age::kNew) {
-    if (state == Age::kEnded && !is_silent_) {
+    const double fallback = loop_.own.coefficients.fallback;
+    const bool was_silent = is_silent;
+    is_silent = was_silent || state == Age::kEnded;
+    if (is_silent && !(was_silent && loop_.effort == fallback)) {  // also where a set changed it
       record.kind = Record::Kind::kFallback;
-      silences.fetch_add(1, std::memory_order_relaxed);
-      {{ c }}_supersede(&loop_, loop_.own.coefficients.fallback);
-      is_silent_ = true;
+      silences.fetch_add(was_silent ? 0 : 1, std::memory_order_relaxed);
+      {{ c }}_supersede(&loop_, fallback);
     }
     record.stamp_ns = stamp_ns_;
     record.effort = loop_.effort;
     return record;
   }
-  is_silent_ = false;
+  is_silent = false;
   is_standing_ = is_standing_ && stamp_ns >= stamp_ns_;  // else the clock has gone back
   const auto periods = (stamp_ns - stamp_ns_) * 1e-9 / loop_.settings.control_period;
   if (is_standing_ && periods > kLate) {
@@ -67,7 +85,7 @@ Record Joint::step(
   record.position = position;
   record.velocity = velocity != nullptr ? *velocity : kNaN;
   record.before = loop_.effort;
-  record.asked = asked_ = asked_for(stamp_ns, position, chained);
+  record.asked = asked_ = asked_for(stamp_ns, position, chained, ahead_ns);
   record.effort = {{ c }}_step(
     &loop_, stamp_ns, asked_.position, asked_.velocity, position, velocity);
   record.reference = {loop_.reference_position, loop_.reference_velocity};
@@ -86,8 +104,8 @@ Record Joint::leave()
   Record record;
   if (is_controlled_) {
     record.kind = Record::Kind::kLeft;
-    {{ c }}_reset(&loop_);
   }
+  was_controlled_ = is_controlled_;
   is_controlled_ = false;
   record.stamp_ns = stamp_ns_;
   return record;
@@ -122,24 +140,28 @@ Joint::Age Joint::age(std::int64_t stamp_ns, double position, const double * vel
   return speed != 0.0 && stamp_ns - changed_ns_ > timeout_ns ? Age::kEnded : Age::kNew;
 }
 
-Reference Joint::asked_for(std::int64_t stamp_ns, double position, const Reference * chained)
+Reference Joint::asked_for(
+  std::int64_t stamp_ns, double position, const Reference * chained, std::int64_t ahead_ns)
 {
-  if (!is_standing_ && std::isfinite(position)) {
+  const auto & its = loop_.own.coefficients;
+  if (!is_standing_ && std::abs(position) <= kLargest) {
     is_standing_ = true;
     follower_.stand(position);
     asked_ = {position, 0.0};
   }
   if (chained != nullptr) {
-    if (!std::isfinite(chained->position)) {  // nobody has asked for anything, or not any more
+    if (!(std::abs(chained->position) <= kLargest)) {  // nobody has asked for anything
       return {asked_.position, 0.0};
     }
-    return {chained->position, std::isfinite(chained->velocity) ? chained->velocity : 0.0};
+    const double turns = whole_turns(asked_.position - chained->position, its.turn);
+    return {
+      chained->position + turns, std::isfinite(chained->velocity) ? chained->velocity : 0.0};
   }
   Reference here = follower_.sample(stamp_ns);
   if (is_standing_ && motion.has_new()) {
-    const auto & its = loop_.own.coefficients;
     follower_.follow(
-      motion.take(), stamp_ns, here, its.turn, its.lost_turn, loop_.settings.takeover_time);
+      motion.take(), stamp_ns, ahead_ns, here, its.turn, its.lost_turn,
+      loop_.settings.takeover_time);
     here = follower_.sample(stamp_ns);
   }
   return here;

@@ -47,19 +47,24 @@ public:
 
   // Called by the thread of the control loop: no locks, no memory, no exceptions.
 
-  /// Begins anew: the joint is held where its next state has it.
-  void begin();
-
   /// Answers a state. Velocity is nullptr where none is measured; chained is what a preceding
-  /// controller asks for, nullptr for the joint's own motions.
+  /// controller asks for, nullptr for the joint's own motions, whose clock is ahead of the stamps.
+  /// The first state after leave() has the joint held where it is.
   Record step(
-    std::int64_t stamp_ns, double position, const double * velocity, const Reference * chained);
+    std::int64_t stamp_ns, double position, const double * velocity, const Reference * chained,
+    std::int64_t ahead_ns = 0);
+
+  /// Ends its control.
+  Record leave();
+
+  /// Goes on at once after leave(), at the reference that there was; returns the effort [N m].
+  double resume();
 
   // Called by one other thread.
 
   Queue<Settings, 16> retunings;  // to be applied, each accepted
   Newest<Motion> motion;
-  std::atomic<bool> is_enabled = false;  // whether it is controlled while the controller is active
+  std::atomic<bool> is_enabled = true;  // whether it is controlled while the controller is active
 
   // Counted for whoever asks.
 
@@ -67,19 +72,22 @@ public:
   std::atomic<std::uint64_t> faults = 0;    // states that could not be used
   std::atomic<std::uint64_t> silences = 0;  // times without a new state
   std::atomic<std::uint64_t> missed = 0;    // states there must have been, by control_period
+  std::atomic<bool> is_silent = false;      // the states have ended
 
 private:
   enum class Age { kNew, kOld, kEnded };
 
-  Record leave();
+  void begin();
+  void drop_motion();
   Age age(std::int64_t stamp_ns, double position, const double * velocity);
-  Reference asked_for(std::int64_t stamp_ns, double position, const Reference * chained);
+  Reference asked_for(
+    std::int64_t stamp_ns, double position, const Reference * chained, std::int64_t ahead_ns);
 
   {{ c }}_state loop_;
   Follower follower_;
   bool is_controlled_ = false;
-  bool is_standing_ = false;  // the follower has a place
-  bool is_silent_ = false;
+  bool was_controlled_ = false;  // when it was left
+  bool is_standing_ = false;     // the follower has a place
   std::int64_t stamp_ns_ = 0;    // of the last state that was answered
   std::int64_t seen_ns_ = 0;     // of the last cycle
   std::int64_t changed_ns_ = 0;  // of the last state that differed from the one before

@@ -16,7 +16,6 @@ namespace {{ package }}
 namespace
 {
 
-constexpr double kLargest = {{ largest_position|double }};  // of positions and their derivatives
 constexpr std::size_t kMostPoints = 50000;
 constexpr double kLeastRate = 0.95;  // of the controller's updates, of the one by control_period
 
@@ -25,6 +24,9 @@ std::string column(
   const trajectory_msgs::msg::JointTrajectory & message, std::size_t at, Motion & motion)
 {
   const std::size_t joints = message.joint_names.size();
+  if (message.header.stamp.sec < 0) {
+    return "its stamp is negative";
+  }
   motion.is_setpoint = false;
   motion.stamp_ns = rclcpp::Time(message.header.stamp).nanoseconds();
   motion.knots.clear();
@@ -147,17 +149,20 @@ JointNode::JointNode(
       RCLCPP_INFO(node_->get_logger(), "%s", line().c_str());
     });
   node_->register_on_activate([this](const rclcpp_lifecycle::State &) {
-    const bool may = is_controller_active_.load();
-    joint_->is_enabled = may;
-    if (!may) {
+    if (!is_controller_active_) {
       refuse("cannot be activated: the controller of ros2_control is not active");
+      return Transition::FAILURE;
     }
-    return may ? Transition::SUCCESS : Transition::FAILURE;
-  });
-  node_->register_on_deactivate([this](const rclcpp_lifecycle::State &) {
-    joint_->is_enabled = false;
+    joint_->is_enabled = true;
     return Transition::SUCCESS;
   });
+  const auto leave = [this](const rclcpp_lifecycle::State &) {
+    joint_->is_enabled = joint_->is_enabled && is_following_;
+    return Transition::SUCCESS;
+  };
+  node_->register_on_deactivate(leave);
+  node_->register_on_cleanup(leave);
+  node_->register_on_shutdown(leave);
   node_->configure();
 
   const auto deep = rclcpp::QoS(params.introspection_rate < 0.0 ? 4000 : 10);
@@ -261,7 +266,7 @@ bool JointNode::may_move(const char * what)
     refuse(std::string(what) + " refused: another controller gives the references");
     return false;
   }
-  if (!joint_->is_enabled) {
+  if (!is_controlled()) {
     refuse(std::string(what) + " refused: the joint is not active");
     return false;
   }
@@ -280,13 +285,16 @@ void JointNode::follow_lifecycle()
   using lifecycle_msgs::msg::State;
   using lifecycle_msgs::msg::Transition;
   const auto state = node_->get_current_state().id();
-  const bool is_enabled = joint_->is_enabled && is_controller_active_;
-  if (is_enabled && state == State::PRIMARY_STATE_INACTIVE) {
+  is_following_ = true;
+  if (is_controlled() && state == State::PRIMARY_STATE_INACTIVE) {
     node_->activate();
-  } else if (!is_enabled && state == State::PRIMARY_STATE_ACTIVE) {
+  } else if (!is_controlled() && state == State::PRIMARY_STATE_ACTIVE) {
     node_->deactivate();
   }
+  is_following_ = false;
 }
+
+bool JointNode::is_controlled() const { return joint_->is_enabled && is_controller_active_; }
 
 void JointNode::introspect(const Record & record)
 {
@@ -319,6 +327,10 @@ diagnostic_msgs::msg::DiagnosticStatus JointNode::status() const
   found.hardware_id = name_;
   found.level = refused_ > 0 || joint_->faults > 0 ? DiagnosticStatus::WARN : DiagnosticStatus::OK;
   found.message = state.label();
+  if (is_controlled() && joint_->is_silent) {
+    found.level = DiagnosticStatus::ERROR;
+    found.message = "no new state: fallback_effort";
+  }
   found.values = {
     value("lifecycle", state.label()),
     value("law", settings_.law == {{ C }}_LAW_PID ? "pid" : "hpid"),

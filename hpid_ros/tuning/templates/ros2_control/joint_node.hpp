@@ -51,6 +51,7 @@ private:
   rcl_interfaces::msg::SetParametersResult allow(const Parameters & changes);
   void on_trajectory(const trajectory_msgs::msg::JointTrajectory & message);
   void on_setpoint(double position);
+  bool is_controlled() const;
   bool may_move(const char * what);
   void refuse(const std::string & line);
 
@@ -62,6 +63,7 @@ private:
   const unsigned int rate_;  // [Hz] of the controller's updates; 0 where nobody knows
   const std::atomic<bool> & is_controller_active_;
   const std::atomic<bool> & is_chained_;
+  bool is_following_ = false;  // its lifecycle, by itself
   std::string last_fault_ = "none";
   std::uint64_t refused_ = 0;
   std::int64_t introspected_ns_ = 0;

@@ -13,7 +13,8 @@ constexpr std::int64_t kForever = std::numeric_limits<std::int64_t>::max();
 
 double seconds(std::int64_t nanoseconds) { return static_cast<double>(nanoseconds) * 1e-9; }
 
-/// Returns the whole turns in a distance, so that half of one is left at most [rad].
+}  // namespace
+
 double whole_turns(double away, double turn)
 {
   if (turn == 0.0) {
@@ -23,8 +24,6 @@ double whole_turns(double away, double turn)
   return std::copysign(turn * std::max(turns, 0.0), away);
 }
 
-}  // namespace
-
 void Follower::stand(double position)
 {
   *this = Follower();
@@ -32,12 +31,12 @@ void Follower::stand(double position)
 }
 
 void Follower::follow(
-  const Motion & motion, std::int64_t now_ns, const Reference & here, double turn,
-  double lost_turn, double takeover_time)
+  const Motion & motion, std::int64_t now_ns, std::int64_t ahead_ns, const Reference & here,
+  double turn, double lost_turn, double takeover_time)
 {
   const Knot & first = motion.knots.front();
   motion_ = &motion;
-  start_ns_ = motion.stamp_ns != 0 ? motion.stamp_ns : now_ns;
+  start_ns_ = motion.stamp_ns != 0 ? motion.stamp_ns - ahead_ns : now_ns;
   offset_ = 0.0;
   from_ns_ = to_ns_ = 0;
   is_gliding_ = has_before_ = false;

@@ -10,6 +10,7 @@ namespace {{ package }}
 {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kLargest = {{ largest_position|double }};  // of positions and their derivatives
 
 struct Reference
 {
@@ -33,6 +34,9 @@ struct Motion
   bool is_setpoint = false;   // a step to the one knot, whenever it comes
 };
 
+/// Returns the whole turns in a distance, so that half of one is left at most [rad]; 0 for no turn.
+double whole_turns(double away, double turn);
+
 /// Goes from motion to motion without a jump of the reference, but for a setpoint, which is a step.
 /// The rules are those of joint_trajectory_controller and of hpid_ros: a segment is linear, cubic or
 /// quintic by the derivatives that both ends have; before the first point the reference runs from
@@ -45,10 +49,11 @@ public:
 
   /// Follows a motion from this instant on. It is shifted by whole turns so that it begins nearest:
   /// of `turn` [rad], 0 for none; the first one that is under way of `lost_turn`, as the turns until
-  /// now were not counted. `here` is the reference by sample(). The motion must stay where it is.
+  /// now were not counted. `here` is the reference by sample(). Its stamp is of a clock that is
+  /// ahead of now_ns. The motion must stay where it is.
   void follow(
-    const Motion & motion, std::int64_t now_ns, const Reference & here, double turn,
-    double lost_turn, double takeover_time);
+    const Motion & motion, std::int64_t now_ns, std::int64_t ahead_ns, const Reference & here,
+    double turn, double lost_turn, double takeover_time);
 
   Reference sample(std::int64_t stamp_ns);
 
