@@ -19,7 +19,7 @@ from hpid_ros.control.homogeneous_pid import Terms
 from hpid_ros.control.limited_law import LimitedLaw
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, relay_obstacle
-from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Following, Motion
+from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Following, Motion, Setpoint
 from hpid_ros.control.settings import LoopSettings
 
 
@@ -118,6 +118,14 @@ class JointLoop:
         """
         self.end_relay("a reference came")
         self._following.follow(motion)
+
+    def receive(self, motion: Motion) -> None:
+        """Follow a motion of somebody who may not know that there has been no state yet.
+
+        A setpoint is no step then: where the joint will be nobody knows.
+        """
+        self.follow(motion)
+        self._following.has_waited = self.stamp_ns is None and isinstance(motion, Setpoint)
 
     def begin_relay(self, request: RelayRequest) -> None:
         """Let a relay drive the joint for some cycles, around where it is held.

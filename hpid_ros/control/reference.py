@@ -264,6 +264,7 @@ class Following:
             "acceleration",
             "gives_effort",
             "has_new_motion",
+            "has_waited",
             "encoder_turn",
             "motion",
             "position",
@@ -274,6 +275,7 @@ class Following:
 
     def __init__(self) -> None:
         self.motion: Motion | None = None
+        self.has_waited = False  # for the first state
         self.turn = self.encoder_turn = 0.0
         self.restart()
 
@@ -285,6 +287,7 @@ class Following:
     def follow(self, motion: Motion | None) -> None:
         """Follow a motion from the next sample on; None forgets what was followed."""
         self.motion = self._pending = motion
+        self.has_waited = False
 
     def restart(self) -> None:
         """Forget where the reference stands, and start the motion again."""
@@ -349,7 +352,7 @@ class Following:
         offset = whole_turns(self.position - motion.target(stamp_ns), turn) if turn else 0.0
         onto = _shifted(motion.start(stamp_ns, self.position - offset, self.velocity), offset)
         self._reference, self._glide_end_ns = onto, None
-        if is_under_way:
+        if is_under_way or self.has_waited:
             position, velocity = before.sample(stamp_ns)[:2]
             self._glide(onto, stamp_ns, position, velocity, duration)
 

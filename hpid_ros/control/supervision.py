@@ -82,6 +82,11 @@ class Watchdog:
         wait.is_answered = True
         return True
 
+    def wake(self, now_ns: int) -> None:
+        """Note that the process stood still, and what it gave meanwhile is known."""
+        if self._wait is not None and not self._wait.is_answered:
+            self._wait = _Wait(now_ns)
+
     def look(self, now_ns: int) -> StateTimeout | None:
         """Return the silence that there is."""
         wait = self._wait
@@ -138,9 +143,10 @@ class SupervisedLoop:
         """Effort to give while no state comes, in [N m]."""
         return self.loop.settings.effort.fallback if self._stop is None else 0.0
 
-    def note_release(self) -> None:
+    def note_release(self, now_ns: int) -> None:
         """Note that the joint was held without effort, and is not any more."""
         self._was_held = True
+        self.watchdog.wake(now_ns)
 
     def look(self, now_ns: int) -> None:
         """Take note of a silence."""

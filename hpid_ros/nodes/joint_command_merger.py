@@ -237,6 +237,7 @@ def _readings(merger: CommandMerger) -> dict[str, object]:
 
 _ZEROS = 10  # with which it leaves: nobody acknowledges a best-effort message
 _BETWEEN_ZEROS = 0.01  # [s]
+_ZEROS_WITHHELD = 100  # at most, while it is not known whose a subscription is
 _ACKNOWLEDGED_WITHIN = 0.5  # [s], by reliable subscribers
 
 
@@ -284,7 +285,7 @@ class JointCommandMerger(ManagedNode):
         self._commanders: Commanders | None = None
         self._commands: Any = None
         self._refusal = self._reported = ""
-        self._zeros_left = 0
+        self._zeros_left = self._zeros_withheld = 0
         self._repeating: Timer | None = None
         self._scheduling = ""
         steady_timer(self, 1.0, self._report)
@@ -304,7 +305,7 @@ class JointCommandMerger(ManagedNode):
         if self._commands is not None:
             self.destroy_subscription(self._commands)
             self._commands = None
-        self._zeros_left = _ZEROS if self._output.has_sent else 0
+        self._zeros_left, self._zeros_withheld = (_ZEROS if self._output.has_sent else 0), 0
         self._repeat_zero()
         if self._zeros_left:
             self._repeating = steady_timer(self, _BETWEEN_ZEROS, self._repeat_zero)
@@ -313,8 +314,14 @@ class JointCommandMerger(ManagedNode):
         if self.is_active:
             return  # again, before the timer's last call
         if self._zeros_left:
-            self._zeros_left -= 1
-            self._stream.zero()
+            is_last = self._zeros_withheld >= _ZEROS_WITHHELD
+            may_be_sent = is_last or not self._receiver.must_be_asked
+            if not self._output.has_sent:  # to who is there now
+                self._zeros_left = 0
+            elif may_be_sent and self._stream.zero(is_last=is_last):
+                self._zeros_left -= 1
+            else:
+                self._zeros_withheld += 1
         if not self._zeros_left:
             self._stop_repeating()
             self._watch.stop()  # until the last zero it notices new subscriptions
@@ -322,7 +329,7 @@ class JointCommandMerger(ManagedNode):
 
     def _stop_repeating(self) -> None:
         """Be done with zeros: all have been sent, or commands follow."""
-        self._zeros_left = 0
+        self._zeros_left = self._zeros_withheld = 0
         self._output.forget()
         if self._repeating is not None:
             self.destroy_timer(self._repeating)

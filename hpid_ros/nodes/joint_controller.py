@@ -327,7 +327,7 @@ class JointController(ManagedNode):
         self._report()
 
     def _follow(self, motion: Motion) -> None:
-        self._loop.follow(motion)
+        self._loop.receive(motion)
 
     def _relay(self, request: RelayRequest | None) -> None:
         if request is None:
@@ -393,7 +393,7 @@ class JointController(ManagedNode):
         self._commands.publisher.wait_for_all_acked(Duration(seconds=within))
 
     def restore_effort(self) -> None:
-        self._supervised.note_release()
+        self._supervised.note_release(time.perf_counter_ns())
         self._commands.restore()
 
     def close(self) -> None:

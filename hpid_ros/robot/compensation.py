@@ -71,9 +71,11 @@ class RobotStates:
         self._settings = settings
         self._timeout = settings.timing.state_timeout
         self._velocities = [make_velocity_source(settings.velocity) for _ in self.joints]
-        self._unwrappers = [
-            (place, Unwrapper(math.tau)) for place, name in enumerate(joints) if name in endless
-        ]
+        self._own = self.joints.index(settings.joint)
+        self._unwrappers = {
+            place: Unwrapper(math.tau) for place, name in enumerate(joints) if name in endless
+        }
+        self._heed_encoder(settings)
         self._needs_efforts = needs_efforts
         self._time_constant = filter_time_constant
         self._no_efforts = (0.0,) * len(self.joints)
@@ -83,7 +85,7 @@ class RobotStates:
         """Forget the past: the next state is the first one."""
         for velocity in self._velocities:
             velocity.reset()
-        for _, unwrapper in self._unwrappers:
+        for unwrapper in self._unwrappers.values():
             unwrapper.reset()
         self._stamp_ns = _NO_TIME
         self._state: RobotState | None = None
@@ -96,7 +98,15 @@ class RobotStates:
             if self._state is not None:
                 for source, *state in zip(self._velocities, *self._state[:2], strict=True):
                     source.start_from(*state)
+        if settings.encoder.wrap != self._settings.encoder.wrap:
+            self._heed_encoder(settings)
         self._settings, self._timeout = settings, settings.timing.state_timeout
+
+    def _heed_encoder(self, settings: LoopSettings) -> None:
+        """Add up the turns of the loop's own joint; of the others' encoders nothing is known."""
+        turn = settings.encoder.wrap
+        if turn > 0.0:
+            self._unwrappers.setdefault(self._own, Unwrapper(turn)).restart_after(turn)
 
     def observe(
         self,
@@ -121,7 +131,7 @@ class RobotStates:
             dt = 0.0
         if self._unwrappers:
             positions = list(positions)
-            for place, unwrapper in self._unwrappers:
+            for place, unwrapper in self._unwrappers.items():
                 positions[place] = unwrapper.update(positions[place])
         rates: Sequence[float | None] = velocities or (None,) * len(positions)
         found = [

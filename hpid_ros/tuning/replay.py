@@ -57,7 +57,7 @@ class Instruction(NamedTuple):
 
 def following(motion: Motion) -> Callable[[JointLoop], None]:
     """Return what has a loop follow a motion."""
-    return lambda loop: loop.follow(motion)
+    return lambda loop: loop.receive(motion)
 
 
 def retuned(change: Callable[[LoopSettings], LoopSettings]) -> Callable[[JointLoop], None]:

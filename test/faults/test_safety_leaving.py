@@ -209,3 +209,35 @@ def test_a_closed_process_ends_whatever_would_stand_still(destroying, within, co
     assert ended.returncode == code
     assert said in ended.stderr
     assert ended.stdout == "closed\n"
+
+
+NEVER_ENDS = """
+import os, signal, sys, threading
+from hpid_ros.nodes.core import executor
+
+class Stuck(executor.ClosingNode):
+    def __init__(self):
+        super().__init__("stuck")
+        self.create_timer(0.0, self.work)
+
+    def work(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        {working}
+
+    def close(self):
+        {closing}
+
+executor._LEFT_WITHIN, executor._CLOSED_WITHIN = 0.3, 0.6
+sys.exit(executor.run(lambda: [Stuck()]))
+"""
+
+
+@pytest.mark.usefixtures("harness")  # for its domain
+@pytest.mark.parametrize("place", ["working", "closing"])
+def test_a_node_without_efforts_ends_as_well_where_it_does_not_return(place):
+    places = {"working": "pass", "closing": "pass", place: "threading.Event().wait()"}
+    ended = run(NEVER_ENDS.format(**places))
+    assert ended.returncode == 1
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("a callback has not returned for 0.6 s at ")
+    assert line.endswith(": the process ends without it")

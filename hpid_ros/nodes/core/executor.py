@@ -44,7 +44,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NoReturn, TypeVar
 
 import rclpy
 from rcl_interfaces.msg import ParameterValue
@@ -266,6 +266,7 @@ def _type_of(default: object) -> Parameter.Type:
 
 _HEEDED_WITHIN = 0.25  # [s] for the executor to begin a stop; then joints are left without it
 _LEFT_WITHIN = 4.75  # [s] for all joints to be left; then the process ends without the executor
+_CLOSED_WITHIN = 20.0  # [s] for all else, as a recorder's last messages; then it ends as well
 _CUT_WITHIN = 0.5  # [s] for all subscribers to acknowledge, before the process is suspended
 
 _ENDS_WELL = frozenset((signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
@@ -367,17 +368,20 @@ class Supervisor:
     def _end(self) -> float:
         """Do what the executor should have done, and return until when it has time, in [s]."""
         passed = time.monotonic() - self._asked_at
-        if passed < 0.0 or self.are_left:
+        if passed < 0.0:
             return math.inf
-        if not self.is_heeded and not self.has_cut_effort:
-            if passed < _HEEDED_WITHIN:
-                return _HEEDED_WITHIN - passed
-            self._cut_effort()
-        if passed < _LEFT_WITHIN:
-            return _LEFT_WITHIN - passed
-        if self._cut_effort():
-            self._end_without_executor()
-        return math.inf
+        if not self.are_left:
+            if not self.is_heeded and not self.has_cut_effort:
+                if passed < _HEEDED_WITHIN:
+                    return _HEEDED_WITHIN - passed
+                self._cut_effort()
+            if passed < _LEFT_WITHIN:
+                return _LEFT_WITHIN - passed
+            if self._cut_effort():
+                self._end_without_executor("joints were left without effort, ", _LEFT_WITHIN)
+        if passed < _CLOSED_WITHIN:
+            return _CLOSED_WITHIN - passed
+        self._end_without_executor("", _CLOSED_WITHIN)
 
     def _cut_effort(self) -> bool:
         """Leave all joints for ever, and return whether a node lets the process end like this."""
@@ -386,12 +390,12 @@ class Supervisor:
         self.has_cut_effort = any(may_end)
         return self.has_cut_effort
 
-    def _end_without_executor(self) -> None:
+    def _end_without_executor(self, done: str, within: float) -> NoReturn:
         frame = sys._current_frames().get(threading.main_thread().ident or 0)
         where = f" at {frame.f_code.co_filename}:{frame.f_lineno}" if frame is not None else ""
         print(
-            f"a callback has not returned for {_LEFT_WITHIN:g} s{where}: "
-            "joints were left without effort, the process ends without it",
+            f"a callback has not returned for {within:g} s{where}: "
+            f"{done}the process ends without it",
             file=sys.stderr,
             flush=True,
         )

@@ -194,7 +194,9 @@ class GoalFollower:
         self._active: _ActiveGoal | None = None
         self._silence = 0.0  # [s] of the wall clock; 0 while states come
         self._late_by = 0.0  # [s]; 0 while nothing is to be excused
-        self._has_published = self._is_hold_due = False
+        self._has_published = False
+        self._held_late: set[int] = set()  # joints that are to be stopped once they have states
+        self._held_since_ns: int | None = None
         self._late_until_ns = 0
         self._missed = _Overdue()
 
@@ -264,7 +266,8 @@ class GoalFollower:
         if self._active is None or self.settings.fixed.state_clock == "simulated":
             return None
         # Where the joints are is not known: they stop when states come again.
-        self._active, self._is_hold_due = None, True
+        self._active = None
+        self._hold_later()
         line = f"there was no new state for {silence:.3g} s"
         return Outcome(Result(ResultCode.INVALID_GOAL, line), None)
 
@@ -288,7 +291,7 @@ class GoalFollower:
         if self._late_by:
             self._late_until_ns = stamp_ns + round(self._late_by * NANOSECONDS)
             self._late_by = 0.0
-        if self._is_hold_due:
+        if self._held_late:
             return self._hold()
         return None if self._active is None else self._look(self._active, stamp_ns, taken)
 
@@ -345,9 +348,13 @@ class GoalFollower:
             self.now_ns = stamp_ns
         return taken
 
+    @property
+    def _state_timeout_ns(self) -> int:
+        return round(self.settings.fixed.state_timeout * NANOSECONDS)
+
     def _lacking_state(self) -> _Overdue:
         """Return which joint has no state, or an old one."""
-        timeout_ns = round(self.settings.fixed.state_timeout * NANOSECONDS)
+        timeout_ns = self._state_timeout_ns
         for joint in self._joints:
             if joint.stamp_ns is None or self.now_ns is None:
                 return _Overdue(joint.name, None, f"there is no state of {joint.name} yet")
@@ -451,22 +458,38 @@ class GoalFollower:
             joint.restart()
         self.now_ns, self._late_until_ns = None, 0
         was_active, self._active = self._active, None
-        self._is_hold_due = self._has_published
+        if self._has_published:
+            self._hold_later()
         self._take(stamp_ns, parts)
-        outcome = self._hold() if self._is_hold_due else None
+        outcome = self._hold() if self._held_late else None
         if was_active is None:
             return outcome
         line = f"the clock of the states went back by {back:.3g} s"
         trajectory = outcome.trajectory if outcome is not None else None
         return Outcome(Result(ResultCode.INVALID_GOAL, line), trajectory)
 
+    def _hold_later(self) -> None:
+        """Have all joints stopped where they are found, as that is not known now."""
+        self._held_late, self._held_since_ns = set(range(len(self._joints))), None
+
     def _hold(self) -> Outcome | None:
-        """Stop all joints from where they are measured, once that is known of all of them."""
-        if self._lacking_state().reason:
+        """Stop joints from where they are: together, or those that have states in time."""
+        now_ns, timeout_ns = self._now(), self._state_timeout_ns
+        if self._held_since_ns is None:
+            self._held_since_ns = now_ns
+        stamps_ns = {at: self._joints[at].stamp_ns for at in self._held_late}
+        found = {
+            at
+            for at, stamp_ns in stamps_ns.items()
+            if stamp_ns is not None and stamp_ns >= max(self._held_since_ns, now_ns - timeout_ns)
+        }
+        is_late = now_ns - self._held_since_ns > timeout_ns
+        if not found or (found != self._held_late and not is_late):
             return None
-        self._is_hold_due, now_ns = False, self._now()
+        self._held_late -= found
         knots = {}
-        for at, joint in enumerate(self._joints):
+        for at in sorted(found):
+            joint = self._joints[at]
             position, velocity = joint.position, joint.velocity
             if joint.is_endless and joint.is_known:  # in the turn in which the reference is
                 there = joint.peek(now_ns)[0]

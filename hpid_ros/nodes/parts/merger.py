@@ -115,7 +115,7 @@ class Receiver:
         self.name = name
         self._given = tuple(joints)
         self._topic = topic
-        self._endpoints: frozenset[bytes] = frozenset()
+        self.endpoints: frozenset[bytes] = frozenset()  # its subscriptions
         self._own_joints: tuple[str, ...] = ()
         self._refusal = ""
         self._state: str | None = None
@@ -128,7 +128,7 @@ class Receiver:
     @property
     def must_be_asked(self) -> bool:
         """Whether it is there and has not said which joints it has."""
-        return bool(self.name and self._endpoints and not self._own_joints and not self._refusal)
+        return bool(self.name and self.endpoints and not self._own_joints and not self._refusal)
 
     @property
     def is_refused(self) -> bool:
@@ -138,14 +138,14 @@ class Receiver:
     @property
     def is_deactivated(self) -> bool:
         """Whether it is there, and does not act on commands."""
-        return bool(self._endpoints) and self._state not in (None, ACTIVE)
+        return bool(self.endpoints) and self._state not in (None, ACTIVE)
 
     @property
     def reason(self) -> str:
         """Why nothing may be sent; empty if something may."""
         if self._refusal:
             return self._refusal
-        if not self._endpoints:
+        if not self.endpoints:
             return f"waiting for {self.name or 'somebody'} to subscribe to {self._topic}"
         if not self.joints:
             return f"waiting for {self.name} to say which joints it has"
@@ -155,12 +155,12 @@ class Receiver:
 
     def note_endpoints(self, endpoints: frozenset[bytes]) -> bool:
         """Take note of its subscriptions to the commands."""
-        is_new = bool(endpoints - self._endpoints)
+        is_new = bool(endpoints - self.endpoints)
         if is_new:
             self._own_joints, self._refusal = (), ""
         if not endpoints:
             self._own_joints, self._refusal, self._state = (), "", None
-        self._endpoints = endpoints
+        self.endpoints = endpoints
         return is_new
 
     def note_state(self, state: str | None) -> None:

@@ -127,21 +127,28 @@ class GroupOutput:
         self._template = self._interface.template(joints, self._sender)
         self._count = len(joints)
 
-    def send(self, merged: Merged) -> None:
-        """Publish a merged command, unless there is a subscription that was not looked at."""
-        if self._template is None:
-            return
-        raw = self._template.encode(merged.stamp_ns, effort=merged.efforts)
-        if self.is_settled:  # asked last: a subscription may still match before the next line
-            self.publisher.publish(raw)
-            self._last_ns = merged.stamp_ns
-            self.has_sent = True
-        else:
-            self.withheld += 1
+    def send(self, merged: Merged, *, is_last: bool = False) -> bool:
+        """Publish a merged command, unless there is a subscription that was not looked at.
 
-    def zero(self) -> None:
-        if self.has_sent:
-            self.send(Merged(self._last_ns, (0.0,) * self._count))
+        One that is the last is not withheld: a joint that keeps its effort is worse than a
+        controller that ends.
+        """
+        if self._template is None:
+            return False
+        raw = self._template.encode(merged.stamp_ns, effort=merged.efforts)
+        # Asked at the end: a subscription may still match before the next line.
+        if not is_last and not self.is_settled:
+            self.withheld += 1
+            return False
+        self.publisher.publish(raw)
+        self._last_ns = merged.stamp_ns
+        self.has_sent = True
+        return True
+
+    def zero(self, *, is_last: bool) -> bool:
+        """Publish zeros if there is anything that they would end, and return whether they went."""
+        zeros = Merged(self._last_ns, (0.0,) * self._count)
+        return self.has_sent and self.send(zeros, is_last=is_last)
 
     def destroy(self) -> None:
         """Let the middleware forget the publisher."""
@@ -205,11 +212,13 @@ class ReceiverWatch:
             return
         matches = self._output.matches  # before the graph is asked, which knows of all of them
         endpoints, are_all_known = self._endpoints()
+        before = self._receiver.endpoints
         if self._receiver.note_endpoints(endpoints):
             self._is_asking = False
             self._requests += 1  # who was asked before is not the one that is there now
+            if not before & endpoints:
+                self._output.forget()  # it has been sent nothing that zeros would have to end
         if self._receiver.must_be_asked:
-            self._output.forget()  # it has been sent nothing that zeros would have to end
             self._ask()
         self._changed()
         self._settle(matches, are_all_known)
@@ -387,9 +396,9 @@ class MergedStream:
         if has_returned:
             self._changed(merger)
 
-    def zero(self) -> None:
+    def zero(self, *, is_last: bool = False) -> bool:
         with self._sending():
-            self.output.zero()
+            return self.output.zero(is_last=is_last)
 
     def _send(self, merged: Merged | None, merger: CommandMerger, now_ns: int) -> None:
         """Publish what is to be sent; only to be called by who has the lock."""
@@ -457,8 +466,8 @@ class MergedStream:
     def cut(self) -> None:
         if not self._is_cut:
             self._is_cut = True
-            for _ in range(_BURST):
-                self.zero()
+            for _ in range(_BURST):  # what is not known of a subscription is not waited for
+                self.zero(is_last=True)
 
     def restore(self) -> None:
         """Merge again; the joints come back from zero."""

@@ -1,5 +1,6 @@
 """One joint's sample: time, references, limits, anti-windup, faults, retuning."""
 
+import itertools
 import math
 
 import pytest
@@ -123,6 +124,22 @@ def test_a_clock_that_goes_back_resets_loop_and_motion():
     again = [loop.step(k * MS - 5 * MS, 0.05 * k, 0.0) for k in range(10, 20)]
     assert again == first  # integral, velocity filter and trajectory began again
     assert loop.counts.resets == 1
+
+
+def test_a_setpoint_that_was_received_before_the_first_state_is_no_step():
+    loop = loop_on()
+    loop.receive(Setpoint(1.0))
+    loop.step(SECOND, 0.2, 0.0)
+    references = [loop.reference[0]]
+    for k in range(1, 600):
+        loop.step(SECOND + k * MS, 0.2, 0.0)
+        references.append(loop.reference[0])
+    assert references[0] == pytest.approx(0.2)
+    assert max(b - a for a, b in itertools.pairwise(references)) < 0.005
+    assert references[-1] == 1.0
+    loop.receive(Setpoint(0.5))  # now whoever sends it knows where the joint is
+    loop.step(SECOND + 600 * MS, 0.2, 0.0)
+    assert loop.reference[0] == 0.5
 
 
 def test_a_gap_restarts_the_derivative_and_leaves_the_effort_as_it_is():

@@ -137,8 +137,10 @@ def test_whatever_interrupts_the_effort_goes_on_from_the_active_one(events, fall
     joint = settled(fallback_effort=fallback)
     for event in events:
         if event == "held":
-            joint.note_release()
+            joint.now += 300 * MS
+            joint.note_release(joint.now)
             joint.active = 0.0
+            assert not joint.watchdog.is_silent(joint.now)  # the states stood still, too
         elif event != "states":
             looks = [0.06, 0.2] if event == "silent" else []
             joint.wait(0.3, looks=looks, gives=event != "frozen")

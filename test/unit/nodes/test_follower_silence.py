@@ -37,6 +37,23 @@ def test_states_that_stop_abort_the_goal_and_the_joints_hold_where_they_are_foun
     ]
 
 
+def test_after_a_silence_no_joint_waits_for_one_whose_states_stay_away():
+    group = started()
+    group.run(0.3)
+    assert group.follower.note_timeout(0.7).trajectory is None
+    group.stamp_ns += SECOND
+    group.seen = lambda parts: parts[:1]
+    group.told.clear()
+    assert group.run(2.0, until=lambda: group.told) == pytest.approx(0.5, abs=0.01)
+    assert [each.names for each in group.told] == [("shoulder",)]
+    group.run(0.5)
+    group.seen = lambda parts: parts
+    group.run(0.01)
+    assert [each.names for each in group.told] == [("shoulder",), ("elbow",)]
+    group.run(2.0)
+    group.begin(moving())
+
+
 def test_a_paused_simulation_aborts_nothing():
     group = started(state_clock="simulated")
     group.run(0.5)

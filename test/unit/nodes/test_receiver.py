@@ -1,8 +1,12 @@
 """Why nothing is sent to a receiver: nobody, an unknown order, another interface, deactivated."""
 
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
 import pytest
 
-from hpid_ros.nodes.parts.merger import Receiver
+from hpid_ros.nodes.parts.merger import Merged, Receiver
+from hpid_ros.nodes.parts.merger_output import ARRAY, GroupOutput, ReceiverWatch
 
 ONE, OTHER = frozenset([b"1"]), frozenset([b"2"])
 NAME, TOPIC = "/arm_controller", "/arm_controller/commands"
@@ -85,3 +89,42 @@ def test_one_that_cannot_be_used_is_told_and_not_asked_all_the_time(told, line):
     assert receiver.reason == f"nothing is sent to {NAME}: " + receiver.reason.partition(": ")[2]
     assert line in receiver.reason
     assert not receiver.must_be_asked
+
+
+@pytest.fixture
+def output():
+    """An output that has sent efforts to two joints."""
+    found = GroupOutput(MagicMock(), ARRAY, TOPIC, "a test", False, lambda: None)
+    found.set_joints(["b", "a"])
+    assert found.send(Merged(1, (1.0, 2.0)))
+    found.publisher.publish.reset_mock()
+    return found
+
+
+def test_the_last_zeros_are_sent_whoever_has_subscribed_meanwhile(output):
+    output.settle((0, 1))  # there is one that has not been looked at
+    assert not output.send(Merged(2, (3.0, 4.0)))
+    assert not output.zero(is_last=False)
+    assert not output.publisher.publish.called
+    assert output.zero(is_last=True)
+    assert output.publisher.publish.call_count == 1
+    output.forget()
+    assert not output.zero(is_last=True)
+
+
+@pytest.mark.parametrize(("now", "is_sent"), [(ONE | OTHER, True), (OTHER, False)])
+def test_zeros_are_due_as_long_as_somebody_is_there_who_was_sent_efforts(output, now, is_sent):
+    node = MagicMock()
+    endpoints = iter((ONE, now))
+    node.get_subscriptions_info_by_topic.side_effect = lambda _: [
+        SimpleNamespace(endpoint_gid=gid, node_namespace="/", node_name=NAME[1:])
+        for gid in next(endpoints)
+    ]
+    receiver = Receiver(NAME, (), TOPIC)
+    watch = ReceiverWatch(node, receiver, output, "/controller_manager", lambda: None)
+    watch.start()
+    watch.look()
+    output.send(Merged(2, (1.0, 2.0)))
+    watch.look()
+    assert receiver.must_be_asked
+    assert output.zero(is_last=False) is is_sent
