@@ -89,7 +89,7 @@ def test_a_goal_is_reached_with_feedback_in_the_order_of_the_joints(joints):
     status = client.follow(goal_of(swapped, TIMES, SLOPES))
     assert status == (SUCCEEDED, 0, "goal reached")
     assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.01)
-    assert len(client.feedback) > 10
+    assert len(client.feedback) > 2
     assert {tuple(each.joint_names) for each in client.feedback} == {("shoulder", "elbow")}
     assert client.feedback[-1].desired.positions[0] > 0.8
     require_smooth(joints, 1.5, 6.0)

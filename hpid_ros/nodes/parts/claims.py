@@ -39,7 +39,7 @@ from hpid_ros.nodes.core.parameters import read
 _PREFIX = "hpid_ros/"
 _LONGEST_NAME = 107  # bytes of an abstract name, by the kernel
 _TABLE = Path("/proc/net/unix")
-_TRIES, _PAUSE = 10, 0.002  # [s]; between the two sockets of a holder lies less than that
+_TRIES, _PAUSE = 100, 0.002  # [s]; between the two sockets of a holder lies less than that
 
 
 class HostLock:
