@@ -2,6 +2,7 @@
 
 import resource
 import signal
+import time
 
 import pytest
 from harness.graph import ros_arguments
@@ -147,3 +148,23 @@ def test_all_joints_of_a_process_are_left_when_it_is_stopped_and_when_it_quits(h
     harness.wait(lambda: node.process.poll() is not None, what="the end")
     harness.wait(lambda: arm.are_left(joints), what="two zeros")
     assert node.process.returncode == -signal.SIGQUIT
+
+
+@pytest.mark.usefixtures("as_from_a_terminal")
+def test_a_joint_whose_states_stood_still_with_it_gets_no_fallback_when_it_goes_on(harness):
+    """As where a shell stops the robot's simulation and its controllers together."""
+    parameters = {**GAINS, "state_watchdog": True, "state_timeout": 1.0, "fallback_effort": 3.0}
+    node = harness.start_controller("elbow", "elbow", **parameters)
+    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="it to listen")
+    arm = Arm(harness, ["elbow"])
+    arm.move(["elbow"])
+    node.process.send_signal(signal.SIGTSTP)
+    harness.wait(lambda: is_stopped(node.process), what="it to stop")
+    harness.wait(lambda: arm.are_left(["elbow"]), what="a zero")
+    goes_on_at = time.monotonic() + 1.2
+    harness.wait(lambda: time.monotonic() > goes_on_at, what="a silence that is a timeout")
+    stood = len(arm.efforts("elbow"))
+    arm.are_left(["elbow"])  # a state
+    node.process.send_signal(signal.SIGCONT)
+    arm.move(["elbow"])
+    assert 3.0 not in arm.efforts("elbow")[stood:]
