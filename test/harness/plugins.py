@@ -76,7 +76,7 @@ def run_threads(folder, parameters, sanitizer):
             shown = json.dumps(value) if kind != "number" else repr(value)
             lines.append(f'override_{kind}("{joint}_controller", "{name}", {shown});')
     (folder / "overrides.inc").write_text("\n".join(lines))
-    options = [f"-fsanitize={sanitizer}", "-fno-sanitize-recover=all"]
+    options = ["-O0", f"-fsanitize={sanitizer}", "-fno-sanitize-recover=all"]
     probe = [COMPILER, *options, "-x", "c++", "-", "-o", folder / "probe"]
     if subprocess.run(probe, input=b"int main() {}", check=False, capture_output=True).returncode:
         pytest.skip(f"the C++ compiler has no sanitizer of {sanitizer}")
@@ -210,7 +210,7 @@ class Plugin:
 
     def tick(self):
         """Let the other thread do what is due."""
-        self._library.tick(10)
+        self._library.tick(50)
 
     def node(self, joint):
         return f"/hpid_controller/{joint}_controller"

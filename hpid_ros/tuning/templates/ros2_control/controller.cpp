@@ -17,7 +17,7 @@ namespace
 
 constexpr auto kPeriod = std::chrono::milliseconds(10);
 constexpr int kReportsEvery = 100;  // periods
-constexpr std::int64_t kRestart_ns = 5000000;  // chained mode begins or ends in less
+constexpr std::int64_t kRestart_ns = 20000000;  // chained mode begins or ends in less
 constexpr auto kPause = std::chrono::microseconds(20);
 constexpr unsigned int kTries = 10000;  // for a zero that must not be lost
 
@@ -152,8 +152,8 @@ controller_interface::CallbackReturn HpidController::on_activate(const State &)
   return CallbackReturn::SUCCESS;
 }
 
-/// Where chained mode begins or ends, a manager deactivates and activates the controller within one
-/// cycle. The joints do not feel it: returns whether this is such an activation.
+/// Where chained mode begins or ends, a manager deactivates and activates the controller at once, and
+/// the loops go on: returns whether this is such an activation.
 bool HpidController::goes_on()
 {
   Cycle * last = std::exchange(last_, nullptr);
