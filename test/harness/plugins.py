@@ -190,6 +190,7 @@ class Plugin:
         """Begin or end chained mode as a manager does, within one cycle."""
         assert self.deactivate()
         self._library.tick(0)
+        self._call("set_chained", ctypes.c_bool(False))
         self._call("set_chained", ctypes.c_bool(is_chained))
         assert self.activate()
 

@@ -297,6 +297,54 @@ def test_what_is_left_gets_no_effort_and_is_held_again_where_it_is_then(active):
     assert cycle(1, speed=0.0) == [0.0, 0.0]
 
 
+def test_a_controller_that_is_begun_again_at_once_holds_the_joints_where_they_are_then(active):
+    cycle = Cycle(active)
+    cycle(20)
+    cycle.position = 0.6
+    assert cycle(300)[0] < -1.0
+    active.deactivate()
+    active.activate()
+    assert cycle(1, speed=0.0) == [0.0, 0.0]
+
+
+def test_what_is_asked_for_before_the_first_cycle_is_followed_and_what_is_older_is_not(make):
+    plugin = make()
+    plugin.activate()
+    plugin.setpoint("elbow", 0.4)
+    plugin.trajectory("wrist", 0, [MS], [0.3])
+    rest = [(0.1, 0.0)] * 2
+    for k in range(1000):
+        plugin.update(10**9 + k * MS, *rest)
+    assert reference_of(plugin, "elbow", 2 * 10**9, rest)[0] == 0.4
+    assert reference_of(plugin, "wrist", 2 * 10**9 + MS, rest)[0] == 0.3
+    plugin.setpoint("elbow", 0.5)
+    plugin.deactivate()
+    plugin.tick()
+    plugin.activate()
+    assert reference_of(plugin, "elbow", 2 * 10**9 + 2 * MS, rest)[0] == 0.1
+
+
+def test_the_last_zero_is_published_also_where_the_controller_ends_at_once(active):
+    cycle = Cycle(active)
+    cycle(5)
+    active.deactivate()
+    active.cleanup()
+    *before, (_, elbow), (_, wrist) = active.taken("joint_commands")
+    assert len(before) == 5
+    assert [elbow["elbow"][2], wrist["wrist"][2]] == [0.0, 0.0]
+
+
+def test_the_last_zero_is_published_also_where_the_next_activation_fails(active):
+    cycle = Cycle(active)
+    cycle(5)
+    active.deactivate()
+    active.set_type(is_double=False)
+    assert not active.activate()
+    active.tick()
+    *_, (_, elbow), (_, wrist) = active.taken("joint_commands")
+    assert [elbow["elbow"][2], wrist["wrist"][2]] == [0.0, 0.0]
+
+
 @pytest.mark.parametrize(("tries", "is_left"), [(5000, True), (20000, False)])
 def test_a_zero_is_not_lost_where_another_thread_has_the_command(active, tries, is_left):
     cycle = Cycle(active)
@@ -354,6 +402,34 @@ def test_nothing_moves_where_chained_mode_begins_or_ends(make):
     assert both(100) == (0.3, 0.0)
 
 
+@pytest.mark.parametrize(("skipped", "period_ns"), [(0, 0), (0, MS), (3, MS), (12, MS)])
+@pytest.mark.parametrize("ticks", [1, 0])
+def test_no_time_is_lost_while_chained_mode_begins(make, skipped, period_ns, ticks):
+    """The first period after an activation is nominal or 0, whatever cycles were skipped."""
+    plugin, given = make(), [GivenLoop(each) for each in LOOPS]
+    plugin.activate()
+    stamp_ns, position = 10**9, 0.1
+
+    def cycle(count=1, period_ns=MS):
+        nonlocal stamp_ns, position
+        for _ in range(count):
+            stamp_ns += MS
+            position += 1e-3
+            found = plugin.update(stamp_ns, *[(position, 1.0)] * 2, period_ns=period_ns)
+            wanted = [each.step(stamp_ns, 0.101, 0.0, position, 1.0) for each in given]
+            assert found == wanted
+
+    for _ in range(5000 if not ticks else 200):  # without a tick there is no room for more
+        cycle()
+        for _ in range(ticks):
+            plugin.tick()
+    plugin.set_chained(True)
+    stamp_ns += skipped * MS
+    position += skipped * 1e-3
+    cycle(period_ns=period_ns)
+    cycle(100)
+
+
 def test_what_another_controller_asks_of_a_wrapping_joint_takes_the_shorter_way(make):
     plugin = make(
         is_chained=True,
@@ -398,6 +474,15 @@ def test_a_joint_that_a_person_left_stays_so_until_a_person_has_it_controlled(ac
         assert [effort != 0.0 for effort in cycle(2)] == [False, True]
     assert active.transition("elbow", "activate") == "active"
     assert cycle(2)[0] != 0.0
+
+
+def test_a_joint_that_is_left_gets_no_effort_also_while_its_state_cannot_be_read(active):
+    cycle = Cycle(active)
+    cycle(5)
+    active.tick()
+    active.transition("elbow", "deactivate")
+    active.set_busy(True)
+    assert cycle(1)[0] == 0.0
 
 
 def test_one_joint_is_left_alone_and_the_others_go_on(active):
@@ -609,8 +694,8 @@ def test_every_command_of_a_recording_is_the_laws(active, tmp_path):
             active.transition("elbow", "deactivate")
         if k == 1300:
             active.transition("elbow", "activate")
-        if k == 2200:
-            active.set_chained(False)
+        if k in (2200, 2300):
+            active.set_chained(k == 2200)
         if k == 2400:
             active.deactivate()
             active.tick()

@@ -3,7 +3,6 @@
 #include <chrono>
 #include <exception>
 #include <tuple>
-#include <utility>
 
 #include "ament_index_cpp/get_package_share_directory.hpp"
 #include "certificate.hpp"
@@ -20,17 +19,6 @@ constexpr int kReportsEvery = 100;  // periods
 constexpr std::int64_t kRestart_ns = 20000000;  // chained mode begins or ends in less
 constexpr auto kPause = std::chrono::microseconds(20);
 constexpr unsigned int kTries = 10000;  // for a zero that must not be lost
-
-/// True for as long as it is there, also where a handle of another type throws.
-class Updating
-{
-public:
-  explicit Updating(std::atomic<bool> & flag) : flag_(flag) { flag_ = true; }
-  ~Updating() { flag_ = false; }
-
-private:
-  std::atomic<bool> & flag_;
-};
 
 }  // namespace
 
@@ -119,6 +107,7 @@ void HpidController::close()
     closing_.set_value();
     executor_->cancel();
     thread_.join();
+    publish_all(true);
   }
   timer_.reset();
   states_.reset();
@@ -126,25 +115,33 @@ void HpidController::close()
   diagnostics_.reset();
   executor_.reset();
   joints_.clear();
-  last_ = nullptr;
+  has_left_ = false;
 }
 
 controller_interface::CallbackReturn HpidController::on_activate(const State &)
 {
-  const bool is_restart = goes_on();
-  has_stamp_ = has_stamp_ && is_restart;
   try {
     for (const auto & each : state_interfaces_) {
       std::ignore = each.get_optional();  // throws where it is no number
     }
-    for (std::size_t i = 0; i < command_interfaces_.size(); ++i) {
-      const double effort = is_restart ? joints_[i]->joint().resume() : 0.0;
-      std::ignore = command_interfaces_[i].set_value(effort);
+    for (const auto & each : command_interfaces_) {
+      std::ignore = each.get_optional();
     }
   } catch (const std::exception & error) {
     RCLCPP_ERROR(get_node()->get_logger(), "%s", error.what());
     return CallbackReturn::FAILURE;
   }
+  const bool is_restart = goes_on();
+  stamps_ = is_restart ? Stamps::kGoOn : Stamps::kNone;
+  for (std::size_t i = 0; i < command_interfaces_.size(); ++i) {
+    Joint & joint = joints_[i]->joint();
+    joint.drop_motion();
+    std::ignore = command_interfaces_[i].set_value(is_restart ? joint.resume() : 0.0);
+  }
+  if (is_restart && last_ != nullptr) {
+    last_->is_void = true;
+  }
+  has_left_ = false;
   for (const auto & interface : ordered_exported_reference_interfaces_) {
     std::ignore = interface->set_value(kNaN);
   }
@@ -154,15 +151,10 @@ controller_interface::CallbackReturn HpidController::on_activate(const State &)
 
 /// Where chained mode begins or ends, a manager deactivates and activates the controller at once, and
 /// the loops go on: returns whether this is such an activation.
-bool HpidController::goes_on()
+bool HpidController::goes_on() const
 {
-  Cycle * last = std::exchange(last_, nullptr);
-  const bool is_at_once =
-    last != nullptr && clock_.now().nanoseconds() - last->left_ns < kRestart_ns;
-  if (is_at_once) {
-    last->is_void = true;
-  }
-  return is_at_once;
+  return has_left_ && is_chained_ != was_chained_ &&
+    clock_.now().nanoseconds() - left_ns_ < kRestart_ns;
 }
 
 controller_interface::CallbackReturn HpidController::on_deactivate(const State &)
@@ -171,6 +163,12 @@ controller_interface::CallbackReturn HpidController::on_deactivate(const State &
   while (is_updating_) {  // a manager that is shut down deactivates beside its control loop
     std::this_thread::sleep_for(kPause);
   }
+  if (joints_.empty()) {
+    return CallbackReturn::SUCCESS;
+  }
+  has_left_ = true;
+  was_chained_ = is_chained_;
+  left_ns_ = clock_.now().nanoseconds();
   last_ = cycles_.back();
   for (std::size_t i = 0; i < joints_.size(); ++i) {
     const Record record = joints_[i]->joint().leave();
@@ -181,8 +179,10 @@ controller_interface::CallbackReturn HpidController::on_deactivate(const State &
   if (last_ != nullptr) {
     last_->is_last = true;
     last_->is_void = false;
-    last_->left_ns = clock_.now().nanoseconds();
+    last_->left_ns = left_ns_;
     cycles_.push();
+  } else {
+    lost_.fetch_add(1, std::memory_order_relaxed);
   }
   for (std::size_t i = 0; i < command_interfaces_.size(); ++i) {
     if (!command_interfaces_[i].set_value(0.0, kTries)) {
@@ -265,14 +265,26 @@ controller_interface::return_type HpidController::update_reference_from_subscrib
 controller_interface::return_type HpidController::update_and_write_commands(
   const rclcpp::Time & time, const rclcpp::Duration & period)
 {
-  const Updating updating(is_updating_);
+  const Raised updating(is_updating_);
   if (is_active_) {
-    // Time passes by periods: a clock that is set would be a gap, or one that has gone back.
-    stamp_ns_ = has_stamp_ ? stamp_ns_ + period.nanoseconds() : time.nanoseconds();
-    has_stamp_ = true;
-    cycle(stamp_ns_, time.nanoseconds() - stamp_ns_);
+    advance(time.nanoseconds(), period.nanoseconds());
+    cycle(stamp_ns_, time_ns_ - stamp_ns_);
   }
   return controller_interface::return_type::OK;
+}
+
+/// Time passes by periods, as a clock that is set would be a gap, or one that has gone back; of the
+/// time in which chained mode began or ended no period tells.
+void HpidController::advance(std::int64_t time_ns, std::int64_t period_ns)
+{
+  const std::int64_t since_ns = time_ns - time_ns_;
+  const bool is_told = stamps_ != Stamps::kGoOn || since_ns < 0 || since_ns > 2 * kRestart_ns;
+  stamp_ns_ += is_told ? period_ns : since_ns;
+  if (stamps_ == Stamps::kNone || stamp_ns_ < 0) {
+    stamp_ns_ = time_ns;
+  }
+  time_ns_ = time_ns;
+  stamps_ = Stamps::kFlow;
 }
 
 void HpidController::cycle(std::int64_t stamp_ns, std::int64_t ahead_ns)
@@ -295,6 +307,9 @@ void HpidController::cycle(std::int64_t stamp_ns, std::int64_t ahead_ns)
         stamp_ns, *position, has_velocities_ ? &*velocity : nullptr,
         is_chained ? &reference : nullptr, ahead_ns);
       std::ignore = command_interfaces_[i].set_value(record.effort);
+    } else if (!joints_[i]->joint().is_enabled) {
+      record = joints_[i]->joint().leave();
+      std::ignore = command_interfaces_[i].set_value(0.0);
     } else {  // the handle is another thread's for this instant: the effort stays
       unreadable_.fetch_add(1, std::memory_order_relaxed);
     }
@@ -315,17 +330,28 @@ void HpidController::on_timer()
   for (const auto & joint : joints_) {
     joint->follow_lifecycle();
   }
-  while (const Cycle * cycle = cycles_.front()) {
-    if (cycle->is_last && clock_.now().nanoseconds() - cycle->left_ns < 2 * kRestart_ns) {
-      break;  // it may go on
-    }
-    if (!cycle->is_void) {
-      publish(*cycle);
-    }
-    cycles_.pop();
-  }
+  publish_all(false);
   if (ticks_++ % kReportsEvery == 0) {
     report();
+  }
+}
+
+/// Publishes what waits, but for the last cycle while the controller may yet go on.
+void HpidController::publish_all(bool is_over)
+{
+  while (const Cycle * cycle = cycles_.front()) {
+    const auto since_ns = clock_.now().nanoseconds() - cycle->left_ns;
+    if (cycle->is_last && !is_over && since_ns < 2 * kRestart_ns) {
+      break;
+    }
+    try {
+      if (!cycle->is_void) {
+        publish(*cycle);
+      }
+    } catch (const std::exception & error) {
+      RCLCPP_ERROR(get_node()->get_logger(), "%s", error.what());
+    }
+    cycles_.pop();
   }
 }
 

@@ -59,7 +59,7 @@ private:
   {
     std::vector<Record> joints;
     bool is_last = false;               // before the controller was deactivated
-    std::int64_t left_ns = 0;           // when that was
+    std::int64_t left_ns = 0;           // when that was [ns], by a steady clock
     std::atomic<bool> is_void = false;  // it was activated again at once
   };
 
@@ -67,8 +67,10 @@ private:
     const std::vector<std::string> & kinds) const;
   void open();
   void close();
+  void advance(std::int64_t time_ns, std::int64_t period_ns);
   void cycle(std::int64_t stamp_ns, std::int64_t ahead_ns);
-  bool goes_on();
+  bool goes_on() const;
+  void publish_all(bool is_over);
   void spin(const std::shared_future<void> & closed);
   void on_timer();
   void publish(const Cycle & cycle);
@@ -85,8 +87,13 @@ private:
   std::atomic<std::uint64_t> unreadable_ = 0;  // joints whose handles another thread had
   rclcpp::Clock clock_{RCL_STEADY_TIME};
   std::int64_t stamp_ns_ = 0;  // of the loops
-  bool has_stamp_ = false;     // since it was activated
-  Cycle * last_ = nullptr;     // at its deactivation
+  std::int64_t time_ns_ = 0;   // the manager's, of the last cycle
+  enum class Stamps { kNone, kGoOn, kFlow } stamps_ = Stamps::kNone;
+  // Of the last deactivation:
+  bool has_left_ = false;
+  bool was_chained_ = false;
+  std::int64_t left_ns_ = 0;  // [ns] by the steady clock
+  Cycle * last_ = nullptr;    // nullptr if there was no room
   Queue<Cycle, 4096> cycles_;
 
   // What has time: a thread of its own.

@@ -9,6 +9,18 @@
 namespace {{ package }}
 {
 
+/// A flag that is true for as long as this is there, whatever throws.
+template <typename Flag>
+class Raised
+{
+public:
+  explicit Raised(Flag & flag) : flag_(flag) { flag_ = true; }
+  ~Raised() { flag_ = false; }
+
+private:
+  Flag & flag_;
+};
+
 /// Values in their order. The writer fills back() and calls push(); the reader reads front() and
 /// calls pop().
 template <typename T, std::size_t kSize>

@@ -26,10 +26,8 @@ void Joint::begin()
   is_controlled_ = true;
   is_standing_ = false;
   is_silent = false;
-  drop_motion();
 }
 
-/// Holds the reference that there is; what was asked for before is over.
 void Joint::drop_motion()
 {
   follower_.stand(asked_.position);
@@ -40,8 +38,7 @@ void Joint::drop_motion()
 
 double Joint::resume()
 {
-  is_controlled_ = was_controlled_;
-  drop_motion();
+  is_controlled_ = was_controlled_ && is_enabled;
   return is_controlled_ ? loop_.effort : 0.0;
 }
 
@@ -60,6 +57,11 @@ Record Joint::step(
     begin();
   }
   Record record;
+  if (is_standing_ && stamp_ns == stamp_ns_) {  // no time has passed
+    record.stamp_ns = stamp_ns_;
+    record.effort = loop_.effort;
+    return record;
+  }
   const Age state = age(stamp_ns, position, velocity);
   if (state != Age::kNew) {
     const double fallback = loop_.own.coefficients.fallback;
@@ -107,6 +109,7 @@ Record Joint::leave()
   }
   was_controlled_ = is_controlled_;
   is_controlled_ = false;
+  drop_motion();
   record.stamp_ns = stamp_ns_;
   return record;
 }

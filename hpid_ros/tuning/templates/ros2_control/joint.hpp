@@ -54,11 +54,14 @@ public:
     std::int64_t stamp_ns, double position, const double * velocity, const Reference * chained,
     std::int64_t ahead_ns = 0);
 
-  /// Ends its control.
+  /// Ends its control, and what was asked for.
   Record leave();
 
   /// Goes on at once after leave(), at the reference that there was; returns the effort [N m].
   double resume();
+
+  /// Holds the reference that there is; what was asked for before is over.
+  void drop_motion();
 
   // Called by one other thread.
 
@@ -78,7 +81,6 @@ private:
   enum class Age { kNew, kOld, kEnded };
 
   void begin();
-  void drop_motion();
   Age age(std::int64_t stamp_ns, double position, const double * velocity);
   Reference asked_for(
     std::int64_t stamp_ns, double position, const Reference * chained, std::int64_t ahead_ns);

@@ -285,13 +285,12 @@ void JointNode::follow_lifecycle()
   using lifecycle_msgs::msg::State;
   using lifecycle_msgs::msg::Transition;
   const auto state = node_->get_current_state().id();
-  is_following_ = true;
+  const Raised following(is_following_);
   if (is_controlled() && state == State::PRIMARY_STATE_INACTIVE) {
     node_->activate();
   } else if (!is_controlled() && state == State::PRIMARY_STATE_ACTIVE) {
     node_->deactivate();
   }
-  is_following_ = false;
 }
 
 bool JointNode::is_controlled() const { return joint_->is_enabled && is_controller_active_; }
