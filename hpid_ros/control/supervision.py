@@ -84,7 +84,8 @@ class Watchdog:
 
     def wake(self, now_ns: int) -> None:
         """Note that the process stood still, and what it gave meanwhile is known."""
-        if self._wait is not None and not self._wait.is_answered:
+        wait = self._wait  # another thread may change it
+        if wait is not None and not wait.is_answered:
             self._wait = _Wait(now_ns)
 
     def look(self, now_ns: int) -> StateTimeout | None:

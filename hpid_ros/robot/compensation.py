@@ -83,10 +83,13 @@ class RobotStates:
 
     def reset(self) -> None:
         """Forget the past: the next state is the first one."""
+        self._restart(is_gap=False)
+
+    def _restart(self, is_gap: bool) -> None:
         for velocity in self._velocities:
             velocity.reset()
         for unwrapper in self._unwrappers.values():
-            unwrapper.reset()
+            unwrapper.interrupt() if is_gap else unwrapper.reset()
         self._stamp_ns = _NO_TIME
         self._state: RobotState | None = None
         self._without_efforts = 0.0
@@ -104,9 +107,8 @@ class RobotStates:
 
     def _heed_encoder(self, settings: LoopSettings) -> None:
         """Add up the turns of the loop's own joint; of the others' encoders nothing is known."""
-        turn = settings.encoder.wrap
-        if turn > 0.0:
-            self._unwrappers.setdefault(self._own, Unwrapper(turn)).restart_after(turn)
+        turn = settings.encoder.wrap if settings.encoder.wrap > 0.0 else math.inf
+        self._unwrappers.setdefault(self._own, Unwrapper(turn)).restart_after(turn)
 
     def observe(
         self,
@@ -125,7 +127,7 @@ class RobotStates:
             return self.hold(stamp_ns, fault)
         dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
         if state is not None and not 0.0 < dt <= self._timeout:
-            self.reset()
+            self._restart(is_gap=dt > 0.0)
         before, self._stamp_ns = self._state, stamp_ns
         if before is None:
             dt = 0.0

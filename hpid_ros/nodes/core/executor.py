@@ -266,7 +266,8 @@ def _type_of(default: object) -> Parameter.Type:
 
 _HEEDED_WITHIN = 0.25  # [s] for the executor to begin a stop; then joints are left without it
 _LEFT_WITHIN = 4.75  # [s] for all joints to be left; then the process ends without the executor
-_CLOSED_WITHIN = 20.0  # [s] for all else, as a recorder's last messages; then it ends as well
+_CLOSED_WITHIN = 60.0  # [s] for each other thing, as a recorder's close; then it ends as well
+_STOOD_STILL = 1.0  # [s] by which this thread is late, if the process was stopped
 _CUT_WITHIN = 0.5  # [s] for all subscribers to acknowledge, before the process is suspended
 
 _ENDS_WELL = frozenset((signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
@@ -339,6 +340,10 @@ class Supervisor:
                 self.ends_by, self._asked_at = ends_by, time.monotonic()
                 self.future.set_result(None)
 
+    def go_on(self) -> None:
+        """Note that something has ended: the next has its own time."""
+        self._asked_at = time.monotonic()
+
     def fail(self, error: Exception, code: int) -> None:
         """Ask for the end because of an error; the nodes do not begin a stop before."""
         self.failure = error
@@ -353,7 +358,10 @@ class Supervisor:
             checks = [_attempt(node.check, math.inf) for node in self._nodes]
             within = min(*checks, self._end(), math.inf)
             timeout = None if within == math.inf else max(within, 0.0)
+            due = time.monotonic() + (timeout or 0.0)
             if not select.select([self._reader], [], [], timeout)[0]:
+                late = time.monotonic() - due
+                self._asked_at += late if late > _STOOD_STILL else 0.0
                 continue
             for number in os.read(self._reader, 4096):
                 if number == _CLOSE:
@@ -534,7 +542,9 @@ def _run_in_context(
         # No node waits in its close for what another one still has to send.
         failed = [_attempt(node.stop_now, FAILED) for node in nodes]
         supervisor.are_left = True
-        failed += [_attempt(node.close, FAILED) for node in nodes]
+        for node in nodes:
+            supervisor.go_on()
+            failed.append(_attempt(node.close, FAILED))
         end_in_time()  # what is left is the middleware's
         _attempt(executor.shutdown, None)
     return supervisor.code or int(any(failed))

@@ -227,6 +227,7 @@ class GoalFollower:
         nearest = self._nearest(request, start_ns, now_ns)
         trajectory = for_all_joints(nearest, settings.joints, start_ns, now_ns, standing, rest)
         is_replaced = self._active is not None
+        self._held_late.clear()  # it takes all joints on
         self._follow(trajectory, now_ns)
         for joint, each in zip(joints, standing, strict=True):
             joint.compare(each)
@@ -250,6 +251,7 @@ class GoalFollower:
         another order: all joints of this group stop.
         """
         others = {at: joint for at, joint in enumerate(self._joints) if joint.name in joints}
+        self._held_late -= others.keys()
         if self._active is None or not others:
             return Outcome(None, None)
         names = ", ".join(joint.name for joint in others.values())
@@ -474,7 +476,9 @@ class GoalFollower:
 
     def _hold(self) -> Outcome | None:
         """Stop joints from where they are: together, or those that have states in time."""
-        now_ns, timeout_ns = self._now(), self._state_timeout_ns
+        now_ns, timeout_ns = self.now_ns, self._state_timeout_ns
+        if now_ns is None:
+            return None
         if self._held_since_ns is None:
             self._held_since_ns = now_ns
         stamps_ns = {at: self._joints[at].stamp_ns for at in self._held_late}

@@ -90,7 +90,7 @@ class GroupOutput:
         self._count = 0
         self._last_ns = 0
         self.has_sent = False
-        self.withheld = 0
+        self.sent = self.withheld = 0  # messages
         self.publisher = node.create_publisher(
             self._interface.message(),
             topic or self._interface.topic,
@@ -143,6 +143,7 @@ class GroupOutput:
         self.publisher.publish(raw)
         self._last_ns = merged.stamp_ns
         self.has_sent = True
+        self.sent += 1
         return True
 
     def zero(self, *, is_last: bool) -> bool:
@@ -184,6 +185,8 @@ class ReceiverWatch:
         self._node, self._receiver, self._output = node, receiver, output
         self._changed = changed
         self._timers: list[Timer] = []
+        self._served: frozenset[bytes] = frozenset()  # subscriptions that were sent something
+        self._sent = 0
         self._nameless: dict[bytes, float] = {}  # subscriptions without a node, since when
         self._requests = 0
         self._is_asking = False
@@ -212,12 +215,15 @@ class ReceiverWatch:
             return
         matches = self._output.matches  # before the graph is asked, which knows of all of them
         endpoints, are_all_known = self._endpoints()
-        before = self._receiver.endpoints
+        if self._output.sent != self._sent:
+            self._sent = self._output.sent
+            self._served |= self._receiver.endpoints
+        if endpoints and not endpoints & self._served:  # nothing that zeros would have to end
+            self._output.forget()
+            self._served = frozenset()
         if self._receiver.note_endpoints(endpoints):
             self._is_asking = False
             self._requests += 1  # who was asked before is not the one that is there now
-            if not before & endpoints:
-                self._output.forget()  # it has been sent nothing that zeros would have to end
         if self._receiver.must_be_asked:
             self._ask()
         self._changed()

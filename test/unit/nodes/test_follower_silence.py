@@ -1,5 +1,7 @@
 """Goals over states and references that stay away, come apart, or are of another clock."""
 
+import math
+
 import pytest
 from harness.groups import MS, SECOND, THERE, SimulatedGroup, at_rest, goal, moving, started
 
@@ -51,6 +53,44 @@ def test_after_a_silence_no_joint_waits_for_one_whose_states_stay_away():
     group.run(0.01)
     assert [each.names for each in group.told] == [("shoulder",), ("elbow",)]
     group.run(2.0)
+    group.begin(moving())
+
+
+def late(group):
+    """Have a silence, and then states of the first joint alone, with stamps that go on."""
+    group.run(0.3)
+    group.follower.note_timeout(0.7)
+    group.seen = lambda parts: parts[:1]
+    group.run(0.01)
+    group.told.clear()
+    return group
+
+
+def test_a_goal_that_begins_before_all_joints_were_stopped_is_followed():
+    group = late(started())
+    group.begin(moving())
+    group.seen = lambda parts: parts
+    group.run(3.0, until=lambda: len(group.results) > 1)
+    assert group.results[-1].code is ResultCode.SUCCESSFUL
+    assert len(group.told) == 1
+
+
+def test_joints_that_another_node_has_taken_meanwhile_are_not_stopped():
+    group = late(started())
+    group.note(group.follower.yield_joints({"elbow"}))
+    group.seen = lambda parts: parts
+    group.run(1.0)
+    assert [each.names for each in group.told] == [("shoulder",)]
+
+
+def test_a_clock_that_went_back_to_states_that_are_none_ends_nothing():
+    group = started()
+    group.run(0.3)
+    group.stamp_ns = 0
+    group.seen = lambda parts: [each._replace(position=math.nan) for each in parts]
+    group.run(0.1)
+    group.seen = lambda parts: parts
+    group.run(3.0)
     group.begin(moving())
 
 
