@@ -123,6 +123,9 @@ class JointLoop:
         """Follow a motion of somebody who may not know that there has been no state yet.
 
         A setpoint is no step then: where the joint will be nobody knows.
+
+        Args:
+            motion: As of :meth:`follow`.
         """
         self.follow(motion)
         self._following.has_waited = self.stamp_ns is None and isinstance(motion, Setpoint)

@@ -90,7 +90,7 @@ class RobotStates:
             velocity.reset()
         for unwrapper in self._unwrappers.values():
             unwrapper.interrupt() if is_gap else unwrapper.reset()
-        self._stamp_ns = _NO_TIME
+        self._stamp_ns = self._beyond_ns = _NO_TIME
         self._state: RobotState | None = None
         self._without_efforts = 0.0
 
@@ -107,8 +107,10 @@ class RobotStates:
 
     def _heed_encoder(self, settings: LoopSettings) -> None:
         """Add up the turns of the loop's own joint; of the others' encoders nothing is known."""
-        turn = settings.encoder.wrap if settings.encoder.wrap > 0.0 else math.inf
-        self._unwrappers.setdefault(self._own, Unwrapper(turn)).restart_after(turn)
+        turn = settings.encoder.wrap
+        if turn >= 0.0:  # else it is as the robot has it
+            turn = turn or math.inf
+            self._unwrappers.setdefault(self._own, Unwrapper(turn)).restart_after(turn)
 
     def observe(
         self,
@@ -126,8 +128,11 @@ class RobotStates:
         if fault:
             return self.hold(stamp_ns, fault)
         dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
+        if state is not None and dt > self._timeout and self._is_first_beyond(stamp_ns):
+            return state  # its stamp may be wrong, and the loop passes over it
         if state is not None and not 0.0 < dt <= self._timeout:
             self._restart(is_gap=dt > 0.0)
+        self._beyond_ns = _NO_TIME
         before, self._stamp_ns = self._state, stamp_ns
         if before is None:
             dt = 0.0
@@ -147,6 +152,11 @@ class RobotStates:
             seen = [a + share * (b - a) for a, b in zip(before.efforts, seen, strict=True)]
         self._state = RobotState(positions, found, seen)
         return self._state
+
+    def _is_first_beyond(self, stamp_ns: int) -> bool:
+        """Tell whether a state is the first one after a gap."""
+        before_ns, self._beyond_ns = self._beyond_ns, stamp_ns
+        return before_ns == _NO_TIME or stamp_ns < before_ns
 
     @property
     def lacks_efforts(self) -> bool:
@@ -392,7 +402,8 @@ def compensators(loops: Sequence[LoopSettings], robot: str) -> list[Compensator 
             found.append(None)
             continue
         timing = settings.timing
-        key = (settings.model, timing.control_period, timing.state_timeout, settings.velocity)
+        own = settings.joint if settings.encoder.wrap > 0.0 else ""
+        key = (settings.model, timing.control_period, timing.state_timeout, settings.velocity, own)
         if key not in shared:
             shared[key] = _of_the_robot(settings, robot)
         found.append(_of_the_joint(settings, *shared[key]))

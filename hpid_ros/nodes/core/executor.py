@@ -342,7 +342,8 @@ class Supervisor:
 
     def go_on(self) -> None:
         """Note that something has ended: the next has its own time."""
-        self._asked_at = time.monotonic()
+        with self._lock:
+            self._asked_at = time.monotonic()
 
     def fail(self, error: Exception, code: int) -> None:
         """Ask for the end because of an error; the nodes do not begin a stop before."""
@@ -358,10 +359,11 @@ class Supervisor:
             checks = [_attempt(node.check, math.inf) for node in self._nodes]
             within = min(*checks, self._end(), math.inf)
             timeout = None if within == math.inf else max(within, 0.0)
-            due = time.monotonic() + (timeout or 0.0)
-            if not select.select([self._reader], [], [], timeout)[0]:
-                late = time.monotonic() - due
-                self._asked_at += late if late > _STOOD_STILL else 0.0
+            begun = time.monotonic()
+            has_more = select.select([self._reader], [], [], timeout)[0]
+            if timeout is not None:
+                self._excuse(time.monotonic() - begun - timeout)
+            if not has_more:
                 continue
             for number in os.read(self._reader, 4096):
                 if number == _CLOSE:
@@ -372,6 +374,12 @@ class Supervisor:
                     self.request(0)
                 elif number in self._taken:
                     self.request(128 + number, ends_by=number)
+
+    def _excuse(self, stood: float) -> None:
+        """Give a close the time back in which the process seems to have been stopped, in [s]."""
+        if self.are_left and stood > _STOOD_STILL:
+            with self._lock:
+                self._asked_at += stood
 
     def _end(self) -> float:
         """Do what the executor should have done, and return until when it has time, in [s]."""
@@ -418,7 +426,9 @@ class Supervisor:
             within = max(0.0, deadline - time.monotonic())
             _attempt(partial(node.wait_until_cut, within), None)
         # To this thread: it does nothing more before the whole process stands still.
+        begun = time.monotonic()
         signal.pthread_kill(threading.get_ident(), signal.SIGSTOP)
+        self._excuse(time.monotonic() - begun)
         if not self.has_cut_effort:
             for node in self._nodes:
                 _attempt(node.restore_effort, None)

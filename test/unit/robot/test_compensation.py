@@ -282,8 +282,11 @@ def test_the_turns_of_the_joints_own_encoder_are_added_up():
         position = math.remainder(0.02 * k, 1.5)
         state = found.observe(k * 10_000_000, (position, position), (0.0, 2.0), None)
         assert state.positions == pytest.approx((position, 0.02 * k))
-    gap = found.observe(299 * 10_000_000 + SECOND, (0.0, position), (0.0, 2.0), None)
-    assert gap.positions[1] == pytest.approx(0.02 * 299)  # as the loop, it keeps them
+    for stamp_ns in (310 * SECOND, 3 * SECOND, 4 * SECOND, 4 * SECOND + 1):
+        # A stamp that is wrong, the next state, and a gap: as the loop, it keeps them.
+        state = found.observe(stamp_ns, (0.0, position), (0.0, 2.0), None)
+        assert state.positions[1] == pytest.approx(0.02 * 299)
+    assert state.velocities[1] == 2.0
     found.reset()
     found.observe(300 * 10_000_000, (0.0, 0.0), (0.0, 2.0), None)
     found.retune(LoopSettings.from_parameters({**own, "encoder_wrap": 3.0}))

@@ -16,6 +16,7 @@ from harness.plugins import PACKAGE, Plugin, compile_plugin, export, run_threads
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.control.settings import LARGEST_MOTION
 from hpid_ros.experiment.in_process import controllers_document, controllers_text
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.writer import BagWriter
@@ -57,6 +58,7 @@ WRIST = {
     "velocity_source": "filtered",
 }
 LOOPS = [loop_settings(**ELBOW), loop_settings(**WRIST)]
+NO_STOPS = {"position_max": LARGEST_MOTION, "position_min": -LARGEST_MOTION}
 NAMES = ["elbow", "wrist"]
 
 
@@ -402,18 +404,21 @@ def test_nothing_moves_where_chained_mode_begins_or_ends(make):
     assert both(100) == (0.3, 0.0)
 
 
-@pytest.mark.parametrize(("skipped", "period_ns"), [(0, 0), (0, MS), (3, MS), (12, MS)])
+@pytest.mark.parametrize(
+    ("skipped", "first_ns", "step_ns"),
+    [(0, 0, MS), (0, MS, MS), (3, MS, MS), (12, MS, MS), (1, 20 * MS, 20 * MS)],
+)
 @pytest.mark.parametrize("ticks", [1, 0])
-def test_no_time_is_lost_while_chained_mode_begins(make, skipped, period_ns, ticks):
+def test_no_time_is_lost_while_chained_mode_begins(make, skipped, first_ns, step_ns, ticks):
     """The first period after an activation is nominal or 0, whatever cycles were skipped."""
     plugin, given = make(), [GivenLoop(each) for each in LOOPS]
     plugin.activate()
     stamp_ns, position = 10**9, 0.1
 
-    def cycle(count=1, period_ns=MS):
+    def cycle(count=1, period_ns=step_ns):
         nonlocal stamp_ns, position
         for _ in range(count):
-            stamp_ns += MS
+            stamp_ns += step_ns
             position += 1e-3
             found = plugin.update(stamp_ns, *[(position, 1.0)] * 2, period_ns=period_ns)
             wanted = [each.step(stamp_ns, 0.101, 0.0, position, 1.0) for each in given]
@@ -424,16 +429,56 @@ def test_no_time_is_lost_while_chained_mode_begins(make, skipped, period_ns, tic
         for _ in range(ticks):
             plugin.tick()
     plugin.set_chained(True)
-    stamp_ns += skipped * MS
+    stamp_ns += skipped * step_ns
     position += skipped * 1e-3
-    cycle(period_ns=period_ns)
+    cycle(period_ns=first_ns)
     cycle(100)
+
+
+def test_chained_mode_that_begins_before_the_first_cycle_is_a_beginning(make):
+    plugin = make()
+    plugin.activate()
+    plugin.set_chained(True)
+    assert plugin.update(10**9, *[(0.1, 0.0)] * 2, period_ns=MS) == [0.0, 0.0]
+    plugin.tick()
+    ((stamp_ns, _),) = plugin.taken("joint_states")
+    assert stamp_ns == 10**9
+
+
+def test_a_joint_that_is_left_while_chained_mode_begins_is_left_with_a_zero(active):
+    cycle = Cycle(active)
+    cycle(5)
+    active.tick()
+    active.transition("elbow", "deactivate")
+    active.set_chained(True)
+    assert cycle(1)[0] == 0.0
+    active.tick()
+    zeros = [rows["elbow"][2] for _, rows in active.taken("joint_commands") if "elbow" in rows]
+    assert zeros[-1] == 0.0
+
+
+def test_turns_that_are_counted_are_kept_where_chained_mode_begins(make):
+    plugin = make(elbow={"encoder_wrap": 2.0 * math.pi, "multi_turn": True, **NO_STOPS})
+    plugin.activate()
+    rest = [(0.1, 0.0)] * 2
+    plugin.update(10**9, *rest)
+    plugin.trajectory("elbow", 0, [MS], [4.0])
+    for k in range(1, 700):
+        plugin.update(10**9 + k * MS, *rest)
+    plugin.set_chained(True)
+    plugin.set_chained(False)
+    now_ns = 10**9 + 700 * MS
+    plugin.update(now_ns, *rest)
+    plugin.trajectory("elbow", now_ns - 300 * MS, [MS, 200 * MS], [0.4, 0.5])  # it is under way
+    for k in range(1, 700):
+        plugin.update(now_ns + k * MS, *rest)
+    assert reference_of(plugin, "elbow", now_ns + 700 * MS, rest)[0] == pytest.approx(0.5)
 
 
 def test_what_another_controller_asks_of_a_wrapping_joint_takes_the_shorter_way(make):
     plugin = make(
         is_chained=True,
-        elbow={"angle_wraparound": True, "position_max": 1e6, "position_min": -1e6},
+        elbow={"angle_wraparound": True, **NO_STOPS},
     )
     plugin.activate()
     plugin.update(10**9, (3.0, 0.0), (0.0, 0.0))

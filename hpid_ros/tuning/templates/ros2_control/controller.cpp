@@ -132,7 +132,7 @@ controller_interface::CallbackReturn HpidController::on_activate(const State &)
     return CallbackReturn::FAILURE;
   }
   const bool is_restart = goes_on();
-  stamps_ = is_restart ? Stamps::kGoOn : Stamps::kNone;
+  stamps_ = is_restart && stamps_ != Stamps::kNone ? Stamps::kGoOn : Stamps::kNone;
   for (std::size_t i = 0; i < command_interfaces_.size(); ++i) {
     Joint & joint = joints_[i]->joint();
     joint.drop_motion();
@@ -278,8 +278,12 @@ controller_interface::return_type HpidController::update_and_write_commands(
 void HpidController::advance(std::int64_t time_ns, std::int64_t period_ns)
 {
   const std::int64_t since_ns = time_ns - time_ns_;
-  const bool is_told = stamps_ != Stamps::kGoOn || since_ns < 0 || since_ns > 2 * kRestart_ns;
+  const std::int64_t longest_ns = 2 * (kRestart_ns + period_ns_);
+  const bool is_told = stamps_ != Stamps::kGoOn || since_ns < 0 || since_ns > longest_ns;
   stamp_ns_ += is_told ? period_ns : since_ns;
+  if (stamps_ == Stamps::kFlow) {
+    period_ns_ = period_ns;
+  }
   if (stamps_ == Stamps::kNone || stamp_ns_ < 0) {
     stamp_ns_ = time_ns;
   }

@@ -88,6 +88,7 @@ private:
   rclcpp::Clock clock_{RCL_STEADY_TIME};
   std::int64_t stamp_ns_ = 0;  // of the loops
   std::int64_t time_ns_ = 0;   // the manager's, of the last cycle
+  std::int64_t period_ns_ = 0;
   enum class Stamps { kNone, kGoOn, kFlow } stamps_ = Stamps::kNone;
   // Of the last deactivation:
   bool has_left_ = false;

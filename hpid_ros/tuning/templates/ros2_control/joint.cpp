@@ -30,7 +30,7 @@ void Joint::begin()
 
 void Joint::drop_motion()
 {
-  follower_.stand(asked_.position);
+  follower_.hold(asked_.position);
   if (motion.has_new()) {
     motion.take();
   }
@@ -38,8 +38,8 @@ void Joint::drop_motion()
 
 double Joint::resume()
 {
-  is_controlled_ = was_controlled_ && is_enabled;
-  return is_controlled_ ? loop_.effort : 0.0;
+  is_controlled_ = was_controlled_;
+  return is_controlled_ && is_enabled ? loop_.effort : 0.0;
 }
 
 Record Joint::step(

@@ -30,6 +30,13 @@ void Follower::stand(double position)
   offset_ = position;
 }
 
+void Follower::hold(double position)
+{
+  const bool is_first = is_first_;
+  stand(position);
+  is_first_ = is_first;
+}
+
 void Follower::follow(
   const Motion & motion, std::int64_t now_ns, std::int64_t ahead_ns, const Reference & here,
   double turn, double lost_turn, double takeover_time)

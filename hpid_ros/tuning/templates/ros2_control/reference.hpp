@@ -44,8 +44,11 @@ double whole_turns(double away, double turn);
 class Follower
 {
 public:
-  /// Holds a position.
+  /// Begins anew, at a position.
   void stand(double position);
+
+  /// Holds a position.
+  void hold(double position);
 
   /// Follows a motion from this instant on. It is shifted by whole turns so that it begins nearest:
   /// of `turn` [rad], 0 for none; the first one that is under way of `lost_turn`, as the turns until
