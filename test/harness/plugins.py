@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hpid_ros.control.settings import PARAMETERS
+from harness.loops import loop_settings
+from hpid_ros.control.settings import LARGEST_MOTION, PARAMETERS
 from hpid_ros.experiment.in_process import controllers_text
 from hpid_ros.stability.gain_boxes import gain_ranges
 from hpid_ros.tuning.plugin_export import package_files
@@ -18,6 +19,35 @@ COMPILER = shutil.which("g++") or shutil.which("clang++")
 STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-Wshadow")
 FOLDER = Path(__file__).parent / "plugin"
 PACKAGE = "arm_controller"
+MS = 1_000_000
+ELBOW = {
+    "joint": "elbow",
+    "gains__p": 39.6,
+    "gains__i": 132.0,
+    "gains__d": 3.96,
+    "mu": -0.1,
+    "norm__error_scale": 0.08,
+    "norm__rate_weight": 1.2,
+    "inertia": 0.1,
+    "u_clamp_max": 20.0,
+    "u_clamp_min": -20.0,
+    "fallback_effort": 0.25,
+    "position_max": 1.5,
+    "position_min": -1.5,
+    "velocity_max": 30.0,
+}
+WRIST = {
+    "joint": "wrist",
+    "law": "pid",
+    "gains__p": 12.0,
+    "gains__i": 5.0,
+    "gains__d": 1.5,
+    "inertia": 0.05,
+    "velocity_source": "filtered",
+}
+LOOPS = [loop_settings(**ELBOW), loop_settings(**WRIST)]
+NO_STOPS = {"position_max": LARGEST_MOTION, "position_min": -LARGEST_MOTION}
+NAMES = ["elbow", "wrist"]
 
 
 def needs_cpp():
@@ -276,6 +306,28 @@ class Plugin:
     def told(self):
         """Return what was logged since the last call."""
         return self._text(self._library.logged())
+
+
+class Cycle:
+    """A controller that is called each millisecond with a state that moves a little."""
+
+    def __init__(self, plugin):
+        self.plugin, self.stamp_ns, self.position = plugin, 1_000_000_000, 0.1
+
+    def __call__(self, count=1, by=1e-5, speed=0.01):
+        for _ in range(count):
+            self.stamp_ns += MS
+            self.position += by
+            efforts = self.plugin.update(self.stamp_ns, *[(self.position, speed)] * 2)
+        return efforts
+
+
+def reference_of(plugin, joint, stamp_ns, states):
+    """Return what a joint's loop followed in a cycle."""
+    plugin.update(stamp_ns, *states)
+    plugin.tick()
+    *_, (_, rows) = plugin.taken(f"{joint}_controller/reference")
+    return rows[joint][:2]
 
 
 _RESULTS = {

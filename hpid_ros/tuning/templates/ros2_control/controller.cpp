@@ -279,8 +279,8 @@ void HpidController::advance(std::int64_t time_ns, std::int64_t period_ns)
 {
   const std::int64_t since_ns = time_ns - time_ns_;
   const std::int64_t longest_ns = 2 * (kRestart_ns + period_ns_);
-  const bool is_told = stamps_ != Stamps::kGoOn || since_ns < 0 || since_ns > longest_ns;
-  stamp_ns_ += is_told ? period_ns : since_ns;
+  const bool is_by_period = stamps_ != Stamps::kGoOn || since_ns < 0 || since_ns > longest_ns;
+  stamp_ns_ += is_by_period ? period_ns : since_ns;
   if (stamps_ == Stamps::kFlow) {
     period_ns_ = period_ns;
   }
