@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
-from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, node_sections
+from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, is_for, node_sections
 from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings
 
 INERTIA_RANGES = "inertia_ranges"
@@ -35,11 +35,21 @@ def settings_from_parameters(document: object, where: str) -> dict[str, LoopSett
     for name, node in document.items():
         if not node_sections({name: node}):
             raise SettingError(f"{where}: {name} has no mapping ros__parameters")
-    nodes = {_short(name): _flat(own) for name, own in node_sections(document).items()}
-    everywhere = nodes.pop("/**", {})
+    sections = {name: _flat(own) for name, own in node_sections(document).items()}
+    nodes = _named_nodes(sections)
+    for section, own in sections.items():
+        of_loops = sorted(PARAMETERS.keys() & own.keys())
+        is_used = _is_ranges(section) or any(is_for(section, full) for full in nodes.values())
+        if of_loops and not is_used:
+            raise SettingError(
+                f"{where}: {section} has {of_loops[0]}, and the file names no node that it is for"
+            )
     found = {}
-    for name, own in nodes.items():
-        values = {**everywhere, **own}
+    for name, full in nodes.items():
+        values: dict[str, Any] = {}
+        for section, own in sections.items():  # of two the later one counts, as for rcl
+            if is_for(section, full):
+                values |= own
         if "joint" in values:
             found[name] = _settings(values, f"{where}: {name}")
     if not found:
@@ -48,6 +58,21 @@ def settings_from_parameters(document: object, where: str) -> dict[str, LoopSett
             f"(nodes: {', '.join(nodes) or 'none'})"
         )
     return found
+
+
+def _is_ranges(section: str) -> bool:
+    return section.rpartition("/")[2] == INERTIA_RANGES
+
+
+def _named_nodes(sections: Iterable[str]) -> dict[str, str]:
+    """Return a full name of each node, by the name that people know it by."""
+    named = [each for each in sections if not each.endswith("*") and not _is_ranges(each)]
+    certain = [each for each in named if "*" not in each]
+    return {
+        _short(each): each.replace("/**", "").replace("/*", "/any")
+        for each in named
+        if each in certain or not any(is_for(each, other) for other in certain)
+    }
 
 
 def _short(name: str) -> str:
@@ -59,7 +84,7 @@ def _short(name: str) -> str:
 def _inertia_ranges(document: object, where: str) -> dict[str, tuple[float, float]]:
     ranges: dict[str, tuple[float, float]] = {}
     for name, own in node_sections(document).items():
-        if name.rsplit("/", 1)[-1] != INERTIA_RANGES:
+        if not _is_ranges(name):
             continue
         for joint, value in _flat(own).items():
             is_pair = isinstance(value, list) and len(value) == 2

@@ -432,13 +432,22 @@ def upgrade_text(
     lines += [f"{ANYWHERE}joint_controllers:", "  ros__parameters:", f"    joints: [{joints}]"]
     lines += _inertia_ranges([each for each in loops if isinstance(each, Upgrade)], slides)
     for each, own in zip(loops, settings, strict=True):
-        said = [f"# {shown(note)}" for note in notes.get(own.joint, ())]
-        parameters = _parameters(own, each.reasons if isinstance(each, Upgrade) else {})
-        if own.joint in slides:
-            said, parameters = ([of_slide(line) for line in part] for part in (said, parameters))
-        lines += ["", *said, f"{ANYWHERE}{controller_name(own.joint)}:", "  ros__parameters:"]
-        lines += parameters
+        name = controller_name(own.joint)
+        is_slide = own.joint in slides
+        lines += ["", *controller_section(name, each, notes.get(own.joint, ()), is_slide=is_slide)]
     return "\n".join(lines) + "\n"
+
+
+def controller_section(
+    name: str, loop: Upgrade | LoopSettings, notes: Sequence[str], *, is_slide: bool
+) -> list[str]:
+    """Return the lines of one controller."""
+    settings, reasons = (loop.settings, loop.reasons) if isinstance(loop, Upgrade) else (loop, {})
+    said = [f"# {shown(note)}" for note in notes]
+    parameters = _parameters(settings, reasons)
+    if is_slide:
+        said, parameters = ([of_slide(line) for line in part] for part in (said, parameters))
+    return [*said, f"{ANYWHERE}{name}:", "  ros__parameters:", *parameters]
 
 
 def _inertia_ranges(upgrades: Sequence[Upgrade], slides: Collection[str]) -> list[str]:

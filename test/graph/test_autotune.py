@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from harness.turntable import INERTIA, start_turntable, wait_for_rest
-from rcl_interfaces.srv import GetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import parameter_dict_from_yaml_file
 from std_msgs.msg import Float64MultiArray
 
 from hpid_ros.cli.main import main
@@ -44,6 +45,12 @@ def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, ca
     graph = running_graph()
     assert graph.controllers["turn"].settings.gains.p == 21.6  # nobody has set anything
     assert not allows_relays(harness)
+    # As ros2 param load does: what the file has for all nodes, to this one.
+    wanted = list(parameter_dict_from_yaml_file(str(file)).values())
+    request = SetParameters.Request(parameters=wanted)
+    results = harness.call(SetParameters, "turn_controller/set_parameters", request).results
+    assert [each.reason for each in results if not each.successful] == []
+    assert running_graph().controllers["turn"].settings == settings
 
 
 def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output
+from hpid_ros.base.text import shown
 from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.options import write_output
@@ -20,7 +21,7 @@ from hpid_ros.live.motion import RelayFindings, bounds_of, carry_out_relay, chos
 from hpid_ros.motion.excitation import JointBounds, PlannedRelay, RelayWish, planned_relay
 from hpid_ros.tuning.autotune import Autotuned, autotuned
 from hpid_ros.tuning.regression import COULOMB, VISCOUS
-from hpid_ros.tuning.upgrade import upgrade_text
+from hpid_ros.tuning.upgrade import controller_section
 
 
 def run(options: argparse.Namespace) -> int:
@@ -171,11 +172,16 @@ def _proposal(controller: Controller, tuned: Autotuned) -> list[str]:
 def _write(
     path: Path, controller: Controller, tuned: Autotuned, found: RelayFindings, bag: Path
 ) -> None:
-    joint = controller.joint
+    """Write one section: ``ros2 param load`` sends a node those of all nodes."""
     header = [
-        f"Gains of {joint} by a relay test, recorded in {bag.name}.",
-        f"ros2 param load {controller.node} THIS_FILE sets them while the controller runs.",
+        f"# Gains of {shown(controller.joint)} by a relay test, recorded in {shown(bag.name)}.",
+        f"# ros2 param load {controller.node} THIS_FILE sets them while the controller runs.",
+        "",
     ]
-    slides = {joint} if controller.limits.is_slide else frozenset()
-    notes = {joint: _findings(found)}
-    write_output(path, upgrade_text([tuned.upgrade], header, notes, slides))
+    section = controller_section(
+        controller.node.rpartition("/")[2],
+        tuned.upgrade,
+        _findings(found),
+        is_slide=controller.limits.is_slide,
+    )
+    write_output(path, "\n".join([*header, *section]) + "\n")

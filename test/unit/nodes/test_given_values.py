@@ -8,7 +8,7 @@ from rclpy.parameter import Parameter
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import NODE_PARAMETERS, is_for, node_sections
 from hpid_ros.base.records import names_of
-from hpid_ros.control.controller_files import settings_from_parameters
+from hpid_ros.control.controller_files import parameters_from, settings_from_parameters
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.nodes.core.parameters import as_declared, require_known
 from hpid_ros.nodes.joint_controller import RECORDS
@@ -84,6 +84,45 @@ def test_controllers_are_found_in_files_for_any_namespace():
     ):
         found = settings_from_parameters(document, "file")
         assert {name: each.gains.p for name, each in found.items()} == {"elbow_controller": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("sections", "p"),
+    [
+        ({"/**": {"gains.p": 3.0}, "/arm/elbow": {}}, 3.0),
+        ({"/arm/elbow": {"gains.p": 2.0}, "/**": {"gains.p": 3.0}}, 3.0),
+        ({"/arm/elbow": {}, "/arm/**": {"gains.p": 3.0}}, 3.0),
+        ({"/arm/elbow": {"gains.p": 2.0}, "/**/elbow": {"gains.p": 3.0}}, 3.0),
+        ({"/arm/elbow": {"gains.p": 2.0}, "/*/elbow": {"gains.p": 3.0}}, 3.0),
+        ({"/arm/elbow": {"gains.p": 2.0}, "/left/elbow": {"gains.p": 3.0}}, 2.0),
+    ],
+)
+def test_sections_of_a_node_are_merged_as_ros_does(sections, p):
+    document = {name: {"ros__parameters": own} for name, own in sections.items()}
+    for name in ("/arm/elbow", "/left/elbow"):
+        if name in document:
+            document[name]["ros__parameters"] |= {"joint": "elbow"}
+    found = settings_from_parameters(document, "file")
+    assert set(found) == {"/arm/elbow", "/left/elbow"} & set(sections)
+    assert found["/arm/elbow"].gains.p == p
+
+
+def test_a_section_for_nodes_that_the_file_does_not_name_is_refused():
+    document = {
+        "elbow": {"ros__parameters": {"joint": "elbow"}},
+        "/arm/**": {"ros__parameters": {"gains.p": 3.0}},
+    }
+    with pytest.raises(SettingError, match=r"/arm/\*\* has gains.p, and the file names no node"):
+        settings_from_parameters(document, "file")
+
+
+def test_a_joint_may_have_any_name_in_the_inertia_ranges():
+    document = {
+        "elbow": {"ros__parameters": {"joint": "elbow"}},
+        "/**/inertia_ranges": {"ros__parameters": {"joint": [0.1, 0.2]}},
+    }
+    found = parameters_from(document, "file")
+    assert (list(found.loops), found.inertias) == (["elbow"], {"joint": (0.1, 0.2)})
 
 
 CONTROLLER = {"gains.p", "gains.d", "joint"}
