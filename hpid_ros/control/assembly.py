@@ -97,7 +97,7 @@ def make_unwrapper(settings: EncoderSettings) -> Unwrapper | None:
 def turn_of_references(settings: LoopSettings) -> float:
     """Return by what new references may be moved to be the nearest, in [rad]; 0 by nothing.
 
-    What an encoder cannot tell apart no reference means to tell apart, unless it is said so.
+    References a turn of the encoder apart are the same, unless parameters say otherwise.
     """
     motion, wrap = settings.motion, settings.encoder.wrap
     if motion.angle_wraparound:

@@ -61,7 +61,7 @@ class Estimation:
         design = observer_design(settings)
         if design is not None and self._observer is not None:
             if design != self._observer.design:
-                self.send(effort, model_gain)
+                self.note_applied(effort, model_gain)
                 self._observer.retune(design)
         elif (
             design is not None
@@ -74,7 +74,7 @@ class Estimation:
                 return
             if self._observer is not None:
                 self._position_offset, position = 0.0, self.position
-                self.send(effort, model_gain)
+                self.note_applied(effort, model_gain)
             elif observed is not None:
                 self._position_offset = observed - position
                 self._fade_time = settings.timing.takeover_time
@@ -85,13 +85,13 @@ class Estimation:
         before, self._opposing = self._opposing, 0.0
         return before - (self.oppose(model_gain) if self.opposes_disturbance else 0.0)
 
-    def send(self, effort: float, model_gain: float) -> None:
+    def note_applied(self, effort: float, model_gain: float) -> None:
         """Give the observer, if there is one, what acts on the joint from the last sample on.
 
         That is the effort sent without the model's own, over the model's gain.
         """
         if self._observer is not None:
-            self._observer.send(effort + self._opposing / model_gain)
+            self._observer.note_applied(effort + self._opposing / model_gain)
 
     def coast(self, dt: float) -> None:
         """Let the observer, if there is one, go on under the effort sent, without a sample."""
@@ -126,7 +126,7 @@ class Estimation:
         self._fade_time = left
         return self._position_offset
 
-    def stop_velocity_source(self, position: float) -> VelocitySource:
+    def velocity_source_for_stop(self, position: float) -> VelocitySource:
         """Return the velocity source of a stop that takes the law's place."""
         if self._observer is None:
             return self._source

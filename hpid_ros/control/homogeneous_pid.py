@@ -1,8 +1,8 @@
-"""Gains, the linear PID, and the homogeneous PID (the paper's law) with a semi-implicit step.
+"""Gains, the linear PID, the homogeneous PID, and its semi-implicit variant.
 
-Sign convention, once for the whole package: the paper writes ``e = y - y*`` with negative
-gains; here, as everywhere in ROS, ``error = reference - measurement`` with positive gains. Both
-give the same effort.
+The paper is Luna, Chairez and Polyakov, arXiv 2511.16406. Sign convention, once for the whole
+package: the paper writes ``e = y - y*`` with negative gains; here, as everywhere in ROS,
+``error = reference - measurement`` with positive gains. Both give the same effort.
 """
 
 from __future__ import annotations
@@ -254,9 +254,9 @@ class HomogeneousPid(Pid):
 class SemiImplicitHomogeneousPid(HomogeneousPid):
     r"""Homogeneous PID that answers where the joint will be one period later.
 
-    The multiplier is taken at the sample, and error and error rate at its end, as the joint's
-    own inertia will have moved them: with :math:`a = k_p\lambda^2`, :math:`b = k_d\lambda` and
-    :math:`D = 1 + (T b + T^2 a)/m`,
+    The multiplier is taken at the beginning of the period, and error and error rate at its end,
+    as the joint's own inertia will have moved them: with :math:`a = k_p\lambda^2`,
+    :math:`b = k_d\lambda` and :math:`D = 1 + (T b + T^2 a)/m`,
 
     .. math::
         u = \frac{a e + (b + T a)\dot e}{D} + I, \qquad

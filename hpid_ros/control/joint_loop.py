@@ -153,7 +153,7 @@ class JointLoop:
             against = "the joint is to be taken over first"
         elif self._following.velocity or self._following.acceleration:
             against = "the reference moves"
-        elif gains.d * speed > request.amplitude:
+        elif law.model_gain * gains.d * speed > request.amplitude:
             against = f"the joint moves at {speed:.3g} rad/s"
         load = law.integral + law.model_effort + self._feedforward.effort
         against = against or relay_obstacle(request, gains, self.settings.effort, load, self.error)
@@ -212,7 +212,7 @@ class JointLoop:
             if self._unwrapper is None:
                 self._unwrapper = make_unwrapper(settings.encoder)
             else:
-                self._unwrapper.restart_after(max(settings.encoder.wrap, 0.0) or math.inf)
+                self._unwrapper.set_turn(max(settings.encoder.wrap, 0.0) or math.inf)
         self._adopt(settings)
         if change != less:
             kept -= law.absorb_added_effort(change - less)
@@ -315,7 +315,7 @@ class JointLoop:
         law, settings = self._law, self.settings
         return DampingStop(
             damping=law.model_gain * settings.gains.d,
-            velocity=self._estimation.stop_velocity_source(self._position),
+            velocity=self._estimation.velocity_source_for_stop(self._position),
             uses_velocity=self._uses_velocity,
             limits=law.limits,
             clamp=settings.effort,
@@ -379,11 +379,10 @@ class JointLoop:
             if not self._is_where_it_jumped(stamp_ns, position):
                 return self._reject_jump(stamp_ns, position, dt)
             self._is_takeover_due = True
-        if self._refused_ns is not None:
-            self._outlier = None
+        self._outlier = None
         self._position = position
         is_takeover = False
-        if self._is_takeover_due or not self._following.is_standing:
+        if self._is_takeover_due or not self._following.has_reference:
             is_takeover = self._begin(stamp_ns, position)
         try:
             effort = self._answer(
@@ -413,7 +412,7 @@ class JointLoop:
         """
         law, following, estimation = self._law, self._following, self._estimation
         if estimation.has_observer:
-            estimation.send(law.driving_effort, law.model_gain)
+            estimation.note_applied(law.driving_effort, law.model_gain)
         estimation.update(position, velocity, dt)
         if estimation.opposes_disturbance:
             alone = model or _NO_MODEL
@@ -498,7 +497,7 @@ class JointLoop:
             last_ns = self.stamp_ns if self._refused_ns is None else self._refused_ns
             dt = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
             if 0.0 < dt <= self._timing.state_timeout:
-                self._estimation.send(self._law.driving_effort, self._law.model_gain)
+                self._estimation.note_applied(self._law.driving_effort, self._law.model_gain)
                 self._estimation.coast(dt)
         self._refused_ns = stamp_ns
         self._refused_count += 1
@@ -548,11 +547,16 @@ class JointLoop:
             return False
         first_ns, first = self._outlier
         apart = (stamp_ns - first_ns) * SECONDS_PER_NANOSECOND
-        return apart > 0.0 and abs(position - first) <= self._step_max + self._speed_max * apart
+        distance = abs(position - first)
+        if self._unwrapper is not None:
+            distance = self._unwrapper.distance(position, first)
+        return apart > 0.0 and distance <= self._step_max + self._speed_max * apart
 
     def _reject_jump(self, stamp_ns: int, position: float, dt: float) -> float:
         """Pass over the first position that jumped, with the active effort; refuse others."""
         is_first, self._outlier = self._outlier is None, (stamp_ns, position)
+        if self._unwrapper is not None:
+            self._unwrapper.undo()
         self.counts.jumps += 1
         jump = f"the position jumped by {abs(position - self._position):g} rad in {dt:g} s"
         if not is_first:
@@ -565,7 +569,7 @@ class JointLoop:
     def _begin(self, stamp_ns: int, position: float) -> bool:
         """Start from where the joint is, and tell whether that is a takeover."""
         law, following = self._law, self._following
-        is_takeover = self._is_takeover_due and following.is_standing
+        is_takeover = self._is_takeover_due and following.has_reference
         self._is_takeover_due = False
         self.counts.takeovers += is_takeover
         if law.limits is not None:

@@ -31,18 +31,19 @@ class MotionLimits:
     r"""Keeps a joint within its positions and velocities, whatever effort is wanted.
 
     A stop at :math:`q_{max}` is a velocity limit that shrinks with the distance: upwards at most
-    :math:`v_{up} = \min(k_p (q_{max} - q), v_{max})` is allowed, which is negative beyond it.
-    With the room :math:`x = v_{up} - v` and the width
-    :math:`w = \min(k_p \cdot margin, v_{max}/10)` an effort upwards is
+    :math:`v_{up} = \min(k_s (q_{max} - q), v_{max})` is allowed, which is negative beyond it.
+    With the headroom :math:`x = v_{up} - v` and the width
+    :math:`w = \min(k_s \cdot margin, v_{max}/10)` an effort upwards is
 
     - left alone where :math:`x \ge w`,
     - scaled by :math:`x / w` where :math:`0 < x < w`: scaled out near the stop or the limit,
     - held to :math:`k_v x \le 0`, a braking or returning effort, where :math:`x \le 0`;
 
     and likewise downwards. An effort away from a stop is never reduced. For a joint of inertia
-    m that a load of at most p pushes towards the stop it is not passed by more than
-    :math:`p / (k_p k_v)`, plus what the joint moves in two samples, if :math:`k_v \ge 4 m k_p`
-    and the effort limit can brake it: :math:`m k_p |v| + p \le u_{max}`.
+    m that a load of at most :math:`\tau_L` pushes towards the stop it is not passed by more than
+    :math:`\tau_L / (k_s k_v)`, plus what the joint moves in two samples, if
+    :math:`k_v \ge 4 m k_s` and the effort limit can brake it:
+    :math:`m k_s |v| + \tau_L \le u_{max}`.
 
     A joint that begins beyond a stop is not pushed back: the stop is taken where the joint is,
     and follows it inwards.
@@ -162,7 +163,8 @@ def _back_calculation(time_constant: float) -> AntiWindup:
     def strategy(
         before: float, after: float, error: float, wanted: float, limited: float, dt: float
     ) -> float:
-        return after + dt * (limited - wanted) / time_constant
+        excess = limited - wanted
+        return after + (dt * excess / time_constant if dt < time_constant else excess)
 
     return strategy
 

@@ -64,8 +64,7 @@ class WeightedNorm:
     def scaled(cls, degree: float, error_scale: float, rate_weight: float) -> WeightedNorm:
         r"""Return the norm :math:`(|e|/e_{max})^{1/(1-\mu)} + \gamma_2 |\dot e|`.
 
-        The experiment's norm with its largest error in the consistent place: an error of
-        ``error_scale`` at rest has norm 1 whatever the degree.
+        An error of ``error_scale`` at rest has norm 1 whatever the degree.
 
         Args:
             degree: Homogeneity degree mu, in (-0.5, 0.5).
@@ -113,7 +112,7 @@ class CanonicalNorm:
     _SLOPE_MARGIN = 1e-6
     _TOLERANCE = 1e-15
     _ITERATIONS_AT_MOST = 60
-    _SMALLEST = -400.0  # of ln n: 1.5 times its opposite is still the logarithm of a number
+    _SMALLEST = -400.0  # of ln n: exp(1.5 * 400) is still a number
 
     def __init__(self, degree: float, shape: Sequence[Sequence[float]]) -> None:
         require_degree(degree)
@@ -163,9 +162,11 @@ class CanonicalNorm:
             math.log(abs(error_rate)) if error_rate else -math.inf,
         )
         if scale < self._SMALLEST:  # the reciprocal has no number; in two steps it needs none
-            error *= math.exp(-r * 0.5 * scale)
-            error_rate *= math.exp(-0.5 * scale)
-            y1, y2 = error * math.exp(-r * 0.5 * scale), error_rate * math.exp(-0.5 * scale)
+            growth = math.exp(-r * 0.5 * scale)
+            y1, y2 = error * growth * growth, 0.0
+            if error_rate:  # else the growth of what is 0 need not be a number
+                growth = math.exp(-0.5 * scale)
+                y2 = error_rate * growth * growth
         else:
             y1 = error * math.exp(-r * scale)
             y2 = error_rate * math.exp(-scale)
@@ -230,7 +231,7 @@ def require_floor(floor: float, cap: float) -> None:
     """Refuse a floor of the norm that leaves no room below its cap."""
     if not 0.0 <= floor < cap:
         raise NormError(
-            f"the norm's floor must not be negative and lie below its cap {cap}, not {floor}"
+            f"the norm's floor must be at least 0 and below its cap {cap}, not {floor}"
         )
 
 
@@ -247,7 +248,7 @@ def sampling_floor(
 
     The largest of 1e-6; the norm of two encoder steps in position and of the rate that they
     feign behind the velocity filter; and, for a negative degree, the norm at which the gain
-    multiplier reaches a quarter of what the sampled loop bears, ``T kd lam / m <= 0.25``.
+    multiplier brings ``T kd lam / m`` to 0.25 (docs/theory.md, Sampling).
 
     Source: Livne and Levant, "Proper discretization of homogeneous differentiators" (2014), for
     the principle; the numbers were measured on the sampled double integrator.
@@ -269,10 +270,10 @@ def sampling_floor(
         if not log_floor < math.log(cap):
             least = _power_of_ten(log_floor / math.log(10.0))
             raise NormError(
-                f"T kd / m = {period * damping_rate:g} exceeds {GOOD_SAMPLING_MARGIN:g}, which "
-                f"mu = {norm.degree:g} keeps by a norm.floor of {least} alone, and that must lie "
-                f"below norm.cap = {cap:g}: lower gains.d or the period, choose another mu, or "
-                f"set norm.floor"
+                f"T kd lam / m must not exceed {GOOD_SAMPLING_MARGIN:g}: with "
+                f"T kd / m = {period * damping_rate:g} and mu = {norm.degree:g} that takes a "
+                f"norm.floor of {least} or more, and below norm.cap = {cap:g}: lower gains.d "
+                f"or the period, choose another mu, or set norm.floor"
             )
         floor = max(floor, math.exp(log_floor))
     return floor

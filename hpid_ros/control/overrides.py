@@ -52,6 +52,8 @@ class DampingStop:
         if self.unwrapper is not None:
             position = self.unwrapper.update(position)
         if abs(position - self.position) > self.step_max + self.speed_max * dt:
+            if self.unwrapper is not None:
+                self.unwrapper.undo()
             self.effort = 0.0
             return 0.0
         self.stamp_ns, self.position = stamp_ns, position
@@ -100,7 +102,7 @@ class RelayRequest:
                 raise SettingError(f"the {name} of a relay must be {allowed}, not {value:g}")
 
     @classmethod
-    def asked(cls, numbers: Sequence[float]) -> RelayRequest | None:
+    def from_message(cls, numbers: Sequence[float]) -> RelayRequest | None:
         """Return what a message on ``~/relay`` asks for; None for the end of a relay."""
         if not numbers:
             return None

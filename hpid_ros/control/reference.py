@@ -20,11 +20,11 @@ class FeedforwardGains(NamedTuple):
     with the reference r and the effort :math:`\tau_r` that was planned for it.
     """
 
-    inertia: float = 0.0  # [kg m^2] J
-    viscous_friction: float = 0.0  # [N m s/rad] b
-    coulomb_friction: float = 0.0  # [N m] c
-    friction_velocity: float = 1.0  # [rad/s] v, positive
-    uses_planned_effort: bool = True  # whether planned efforts are added
+    inertia: float  # [kg m^2] J
+    viscous_friction: float  # [N m s/rad] b
+    coulomb_friction: float  # [N m] c
+    friction_velocity: float  # [rad/s] v, positive
+    uses_planned_effort: bool  # whether planned efforts are added
 
     @property
     def is_model_based(self) -> bool:
@@ -280,7 +280,7 @@ class Following:
         self.restart()
 
     @property
-    def is_standing(self) -> bool:
+    def has_reference(self) -> bool:
         """Whether there is a reference; the first state makes one."""
         return self._reference is not None
 
@@ -317,7 +317,7 @@ class Following:
     ) -> Sequence[float]:
         """Return the reference of a sample: position, velocity and acceleration.
 
-        There must be a reference, see :attr:`is_standing`.
+        There must be a reference, see :attr:`has_reference`.
         """
         if self._pending is not None:
             self._begin(self._pending, stamp_ns, duration)

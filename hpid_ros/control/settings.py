@@ -32,7 +32,7 @@ from hpid_ros.control.norms import (
     require_floor,
     sampling_floor,
 )
-from hpid_ros.control.velocity import LARGEST_DEGREE, LEAST_DEGREE
+from hpid_ros.control.velocity import LARGEST_OBSERVER_DEGREE, LEAST_OBSERVER_DEGREE
 
 LawName = Literal["hpid", "pid"]
 LAWS: Mapping[LawName, str] = {"pid": "PID", "hpid": "hPID"}
@@ -75,7 +75,7 @@ _LEAST_PERIODS = 1.5  # of control_period in state_timeout: one state may be lat
 
 
 LEAST_WRAP = 1e-6
-"""No encoder wraps after less, in [rad]: positions have too many such turns for a number."""
+"""No encoder wraps after less, in [rad]: in less, a position is too many turns to count."""
 
 
 @dataclass(frozen=True)
@@ -175,17 +175,25 @@ class IntegralLimits(Record):
     """What keeps the integral term from winding up."""
 
     i_clamp_max: float = _signed(
-        "Upper limit of the integral term", "N m", default=LARGEST_EFFORT, largest=LARGEST_EFFORT
+        "Upper limit of the integral term; not applied while gains.i is 0",
+        "N m",
+        default=LARGEST_EFFORT,
+        largest=LARGEST_EFFORT,
     )
     i_clamp_min: float = _signed(
-        "Lower limit of the integral term", "N m", default=-LARGEST_EFFORT, largest=LARGEST_EFFORT
+        "Lower limit of the integral term; not applied while gains.i is 0",
+        "N m",
+        default=-LARGEST_EFFORT,
+        largest=LARGEST_EFFORT,
     )
     antiwindup_strategy: AntiWindupStrategy = quantity(
         "What the integral does while the effort is limited, as in control_toolbox",
         default="conditional_integration",
     )
     tracking_time_constant: float = _up_to(
-        1000.0, "Of back_calculation [s]; 0 chooses sqrt(gains.d / gains.i)"
+        1000.0,
+        "Of back_calculation [s]; 0 chooses sqrt(gains.d / gains.i), or gains.p / gains.i "
+        "where gains.d is 0",
     )
 
     def __post_init__(self) -> None:
@@ -241,9 +249,9 @@ class ObserverSettings(Record, prefix="observer."):
         "Homogeneity degree of the observer: 0 is linear, negative is tighter at small "
         "innovations, positive calmer",
         default=0.0,
-        least=LEAST_DEGREE,
-        most=LARGEST_DEGREE,
-        slider=(LEAST_DEGREE, LARGEST_DEGREE),
+        least=LEAST_OBSERVER_DEGREE,
+        most=LARGEST_OBSERVER_DEGREE,
+        slider=(LEAST_OBSERVER_DEGREE, LARGEST_OBSERVER_DEGREE),
     )
     innovation_scale: float = _up_to(
         1000.0,
@@ -260,20 +268,20 @@ class FeedforwardSettings(Record, prefix="feedforward."):
     """What is added to the law's effort for the reference's sake."""
 
     inertia: float = quantity(
-        "Effort for the reference's acceleration [kg m^2]; negative takes inertia",
+        "Effort for the reference's acceleration [kg m^2]; -1 takes inertia",
         default=0.0,
         least=-1.0,
         most=LARGEST_EFFORT,
     )
     viscous_friction: float = quantity(
-        "Effort for the reference's velocity [N m s/rad]; negative takes the damping in "
+        "Effort for the reference's velocity [N m s/rad]; -1 takes the damping in "
         "robot_description",
         default=0.0,
         least=-1.0,
         most=LARGEST_EFFORT,
     )
     coulomb_friction: float = quantity(
-        "Effort in the direction in which the reference moves [N m]; negative takes the "
+        "Effort in the direction in which the reference moves [N m]; -1 takes the "
         "friction in robot_description",
         default=0.0,
         least=-1.0,
@@ -291,6 +299,13 @@ class FeedforwardSettings(Record, prefix="feedforward."):
         "compensation, which knows the robot's weight itself",
         default=True,
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("inertia", "viscous_friction", "coulomb_friction"):
+            value = getattr(self, name)
+            if value < 0.0 and value != -1.0:
+                raise SettingError(f"feedforward.{name} must be -1 or at least 0, not {value:g}")
 
 
 @dataclass(frozen=True)
@@ -311,7 +326,7 @@ class EncoderSettings(Record):
     )
     step_max: float = _up_to(
         LARGEST_MOTION,
-        "A position that differs from the last one by more than this [rad], and twice "
+        "A position that differs from the last one by more than this [rad] plus twice "
         "velocity_max times the time between, is a fault; 0 chooses 0.1, or pi where there is"
         " no velocity_max; 1e6 is none",
         key="position_step_max",
@@ -417,7 +432,7 @@ class Timing(Record):
     """The times between states, and what follows when one stays away."""
 
     control_period: float = quantity(
-        "Nominal time between two states", "s", default=0.001, least=1e-6, most=10.0
+        "Nominal time between two states", "s", default=0.001, least=1e-6, most=0.5
     )
     state_timeout: float = quantity(
         "A longer time between two states is a gap, after which the loop takes over anew",

@@ -13,7 +13,7 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import DampingStop
 
-LOOKS = 4.0
+_CHECKS_PER_TIMEOUT = 4.0
 """Checks in one timeout."""
 _SHORTEST_PERIOD = 1e-3  # [s] between two looks
 
@@ -64,7 +64,9 @@ class Watchdog:
     def period(self) -> float:
         """Time between two looks in [s]."""
         timeout = self.timeout
-        return math.inf if timeout is None else max(timeout / LOOKS, _SHORTEST_PERIOD)
+        return (
+            math.inf if timeout is None else max(timeout / _CHECKS_PER_TIMEOUT, _SHORTEST_PERIOD)
+        )
 
     def time_left(self, now_ns: int) -> float:
         """Return the time in [s] until the next check is due."""
@@ -83,7 +85,7 @@ class Watchdog:
         return True
 
     def wake(self, now_ns: int) -> None:
-        """Note that the process stood still, and what it gave meanwhile is known."""
+        """Note that the process was stopped, which is no silence of the states."""
         wait = self._wait  # another thread may change it
         if wait is not None and not wait.is_answered:
             self._wait = _Wait(now_ns)
@@ -103,7 +105,11 @@ class Watchdog:
         return self.look(now_ns) if is_due else None
 
     def observe(self, stamp_ns: int, now_ns: int) -> tuple[StateTimeout | None, bool]:
-        """Take note of a state; one that repeats the last stamp is not new."""
+        """Take note of a state; one that repeats the last stamp is not new.
+
+        Return the silence that nobody has reported yet, if any, and whether there was one in
+        which nobody gave another effort.
+        """
         if stamp_ns == self._stamp_ns:
             return None, False
         before, self._wait, self._stamp_ns = self._wait, _Wait(now_ns), stamp_ns
@@ -120,7 +126,9 @@ class SupervisedLoop:
     def __init__(
         self,
         loop: JointLoop,
-        timed_out: Callable[[float, float], None],
+        timed_out: Callable[
+            [float, float], None
+        ],  # by its duration [s] and the effort given [N m]
         cut: Callable[[], None],
     ) -> None:
         self.loop = loop

@@ -26,13 +26,13 @@ class Unwrapper:
     both positions lie within a turn of 0, as a wrapping encoder's do.
     """
 
-    __slots__ = ("_before", "_has_wrapped", "_largest", "_offset", "_turn")
+    __slots__ = ("_before", "_has_wrapped", "_largest", "_offset", "_past", "_turn")
 
     def __init__(self, turn: float) -> None:
-        self.restart_after(turn)
+        self.set_turn(turn)
         self.reset()
 
-    def restart_after(self, turn: float) -> None:
+    def set_turn(self, turn: float) -> None:
         """Go by another turn from the next position on; those before stay what they were."""
         self._turn = turn
         self._largest = turn * (1.0 + _ROUNDING)
@@ -54,12 +54,24 @@ class Unwrapper:
 
     def update(self, position: float) -> float:
         """Return the continuous position in [rad]."""
+        self._past = self._before, self._offset, self._has_wrapped
         step = position - self._before
         if abs(step) > 0.5 * self._turn and max(abs(position), abs(self._before)) < self._largest:
             self._offset -= self._turn * round(step / self._turn)
             self._has_wrapped = True
         self._before = position
         return position + self._offset
+
+    def undo(self) -> None:
+        """Forget the last position: the joint was not there."""
+        self._before, self._offset, self._has_wrapped = self._past
+
+    def distance(self, position: float, other: float) -> float:
+        """Return how far apart two positions are, whatever turns they lie in."""
+        apart = position - other
+        if abs(apart) > 0.5 * self._turn:
+            apart -= self._turn * round(apart / self._turn)
+        return abs(apart)
 
 
 class VelocitySource(Protocol):
@@ -214,7 +226,7 @@ class HomogeneousDifferentiator(_LastState):
         return self._velocity
 
 
-LEAST_DEGREE, LARGEST_DEGREE = -0.33, 0.5
+LEAST_OBSERVER_DEGREE, LARGEST_OBSERVER_DEGREE = -0.33, 0.5
 """Between them an observer of three states is homogeneous and continuous: above -1/3."""
 
 _LEAST_MEMORY = 1e-3  # of what is kept from one sample to the next, however long that takes
@@ -300,7 +312,7 @@ class Observer:
         self.design = design
         self._restart_covariance()
 
-    def send(self, effort: float) -> None:
+    def note_applied(self, effort: float) -> None:
         """Note what acts on the joint from the last sample on."""
         self._acceleration = effort / self.design.inertia
 
@@ -389,10 +401,10 @@ def _check(design: ObserverDesign) -> None:
         value = getattr(design, name)
         if not (math.isfinite(value) and value > 0.0):
             raise SettingError(f"the observer's {name} must be positive and finite, not {value}")
-    if not LEAST_DEGREE <= design.degree <= LARGEST_DEGREE:
+    if not LEAST_OBSERVER_DEGREE <= design.degree <= LARGEST_OBSERVER_DEGREE:
         raise SettingError(
-            f"the observer's degree must lie in [{LEAST_DEGREE:g}, {LARGEST_DEGREE:g}], "
-            f"not {design.degree}"
+            f"the observer's degree must lie in [{LEAST_OBSERVER_DEGREE:g}, "
+            f"{LARGEST_OBSERVER_DEGREE:g}], not {design.degree}"
         )
 
 

@@ -110,7 +110,7 @@ class RobotStates:
         turn = settings.encoder.wrap
         if turn >= 0.0:  # else it is as the robot has it
             turn = turn or math.inf
-            self._unwrappers.setdefault(self._own, Unwrapper(turn)).restart_after(turn)
+            self._unwrappers.setdefault(self._own, Unwrapper(turn)).set_turn(turn)
 
     def observe(
         self,

@@ -364,7 +364,7 @@ class _Collector:
     def _take_relays(self, joint: _Joint, batch: TopicBatch) -> None:
         for log_time_ns, place, raw in _messages(batch):
             with self._leaving_out("a relay was left out, as controllers refuse it"):
-                request = RelayRequest.asked(decode_numbers(raw))
+                request = RelayRequest.from_message(decode_numbers(raw))
                 text = "the end of a relay" if request is None else "a relay"
                 joint.instruct(log_time_ns, place, partial(joint.relay, place, request), text)
 

@@ -174,7 +174,7 @@ def parameters_by_chance(chance, **others):
         "antiwindup_strategy": chance.choice(
             ("none", "conditional_integration", "back_calculation")
         ),
-        "tracking_time_constant": chance.choice((0.0, 0.0, 0.3)),
+        "tracking_time_constant": chance.choice((0.0, 0.0, 0.3, 1e-4)),
         "velocity_source": chance.choice(("measured", "filtered", "homogeneous_differentiator")),
         "velocity_filter_time_constant": chance.choice((0.0, 0.005, 0.02)),
         "acceleration_bound": 10.0 ** chance.uniform(0.0, 3.0),
@@ -243,7 +243,7 @@ def states_by_chance(chance, count, period):
         elif kind < 0.04:
             state[0] += chance.choice((1, -1, 10**12, 37 * step_ns, -(10**9)))
         elif kind < 0.05:
-            state[3] += 4.0
+            state[3] += chance.choice((4.0, -3.0))
         elif kind < 0.06:  # at rest, exactly
             state[1], state[2], state[4] = state[3], 0.0, 0.0
         yield tuple(state)

@@ -109,7 +109,7 @@ class _Joint:
     @property
     def is_known(self) -> bool:
         """Whether it is known where the reference is."""
-        return self._following.is_standing
+        return self._following.has_reference
 
     def rest(self, position: float) -> None:
         """Let the reference be at a position, at rest."""

@@ -245,7 +245,7 @@ class ControllerReferences:
             numbers = decode_numbers(raw)
             if numbers and against:
                 raise MessageError(against)
-            self._relay(RelayRequest.asked(numbers))
+            self._relay(RelayRequest.from_message(numbers))
         except HpidError as error:
             self._refuse(str(error))
 

@@ -23,6 +23,7 @@ typedef {{ c }}_coefficients Coefficients;
 typedef {{ c }}_estimate Estimate;
 typedef {{ c }}_passage Passage;
 typedef {{ c }}_fade Fade;
+typedef {{ c }}_encoder Encoder;
 typedef {{ c }}_state State;
 
 #define REAL(number) {{ C }}_REAL(number)
@@ -195,10 +196,13 @@ static Real canonical_norm(const Coefficients *c, Real error, Real error_rate)
     scale = larger(error != 0 ? LOG(ABS(error)) / r : -INFINITE,
         error_rate != 0 ? LOG(ABS(error_rate)) : -INFINITE);
     if (scale < SMALLEST) { /* the reciprocal has no number; in two steps it needs none */
-        error *= EXP(-r * REAL(0.5) * scale);
-        error_rate *= EXP(-REAL(0.5) * scale);
-        x1 = error * EXP(-r * REAL(0.5) * scale);
-        x2 = error_rate * EXP(-REAL(0.5) * scale);
+        Real growth = EXP(-r * REAL(0.5) * scale);
+        x1 = error * growth * growth;
+        x2 = 0;
+        if (error_rate != 0) { /* else the growth of what is 0 need not be a number */
+            growth = EXP(-REAL(0.5) * scale);
+            x2 = error_rate * growth * growth;
+        }
     } else {
         x1 = error * EXP(-r * scale);
         x2 = error_rate * EXP(-scale);
@@ -325,6 +329,8 @@ static Real anti_windup(const State *loop, Real before, Real after, Real error, 
     case {{ C }}_ANTIWINDUP_STRATEGY_BACK_CALCULATION:
         if (s->gains_i == 0)
             return after;
+        if (dt >= loop->own.coefficients.tracking_time)
+            return after + (effort - wanted);
         return after + dt * (effort - wanted) / loop->own.coefficients.tracking_time;
     case {{ C }}_ANTIWINDUP_STRATEGY_NONE:
     default:
@@ -409,27 +415,43 @@ static bool update(State *loop, Real error_rate, Real dt, Real added)
 
 /* -- Position and velocity ----------------------------------------------- */
 
+/* Return after how much the encoder wraps around [rad]. */
+static Real wrap_of(const State *loop)
+{
+    return loop->settings.encoder_wrap > 0 ? loop->settings.encoder_wrap : INFINITE;
+}
+
+/* Return how far apart two positions are, whatever turns they lie in [rad]. */
+static Real distance(const State *loop, Real position, Real other)
+{
+    Real apart = position - other, wrap = wrap_of(loop);
+    if (loop->own.has_unwrapper && ABS(apart) > REAL(0.5) * wrap)
+        apart -= wrap * rounded(apart / wrap);
+    return ABS(apart);
+}
+
 /* Return the continuous position of an encoder that wraps around [rad]. */
 static Real unwrapped(State *loop, Real position)
 {
-    Real wrap = loop->settings.encoder_wrap > 0 ? loop->settings.encoder_wrap : INFINITE;
-    if (loop->own.has_encoder) {
-        Real before = loop->own.encoder, step = position - before;
+    Encoder *encoder = &loop->own.encoder;
+    Real wrap = wrap_of(loop);
+    if (encoder->has_position) {
+        Real before = encoder->position, step = position - before;
         Real most = wrap * (1 + REAL(1e-3)); /* a driver's pi is not quite half a turn */
         if (ABS(step) > REAL(0.5) * wrap && larger(ABS(position), ABS(before)) < most) {
-            loop->own.wrapped -= wrap * rounded(step / wrap);
-            loop->own.has_wrapped = true;
+            encoder->turns -= wrap * rounded(step / wrap);
+            encoder->has_wrapped = true;
         }
     }
-    loop->own.encoder = position;
-    loop->own.has_encoder = true;
-    return position + loop->own.wrapped;
+    encoder->position = position;
+    encoder->has_position = true;
+    return position + encoder->turns;
 }
 
 static void reset_encoder(State *loop)
 {
-    loop->own.has_encoder = loop->own.has_wrapped = false;
-    loop->own.wrapped = 0;
+    static const Encoder none = {0};
+    loop->own.encoder = none;
 }
 
 static void reset_estimate(State *loop)
@@ -516,7 +538,7 @@ static void begin_passage(State *loop, int64_t stamp_ns, Real wanted, Real rate)
     const Coefficients *c = &loop->own.coefficients;
     Passage *passage = &loop->own.passage;
     Real position = loop->position, turn = c->turn;
-    passage->is_standing = true;
+    passage->has_reference = true;
     if (!passage->has_begun && turn == 0) /* the turns until now were not counted */
         turn = c->lost_turn;
     passage->has_begun = true;
@@ -765,8 +787,8 @@ static void interrupt(State *loop, Real since)
         {{ c }}_reset(loop);
     } else if (since > 0) {
         loop->own.is_takeover_due = true;
-        if (!loop->own.has_wrapped) /* it is not known that the encoder ever does */
-            loop->own.has_encoder = false;
+        if (!loop->own.encoder.has_wrapped) /* it is not known that it ever does */
+            loop->own.encoder.has_position = false;
     }
 }
 
@@ -797,7 +819,7 @@ static bool is_believed(State *loop, int64_t stamp_ns, Real position)
     loop->own.astray_ns = stamp_ns;
     loop->own.astray = position;
     if (has_first && since > 0 &&
-        ABS(position - first) <= c->step_max + c->speed_max * since) {
+        distance(loop, position, first) <= c->step_max + c->speed_max * since) {
         loop->own.is_takeover_due = true;
         return true;
     }
@@ -813,7 +835,7 @@ static bool is_believed(State *loop, int64_t stamp_ns, Real position)
 /* Start from where the joint is, as a takeover if the loop has had it before. */
 static void begin(State *loop, int64_t stamp_ns, Real wanted, Real rate, bool is_next)
 {
-    bool is_takeover = loop->own.is_takeover_due && loop->own.passage.is_standing;
+    bool is_takeover = loop->own.is_takeover_due && loop->own.passage.has_reference;
     if (loop->own.coefficients.has_limits)
         open_stops(loop, loop->position);
     loop->own.is_takeover_due = false;
@@ -839,7 +861,7 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
         elapsed = smaller(dt, loop->settings.control_period); /* the unseen is not integrated */
     }
     loop->position = position;
-    if (loop->own.is_takeover_due || !loop->own.passage.is_standing)
+    if (loop->own.is_takeover_due || !loop->own.passage.has_reference)
         begin(loop, stamp_ns, wanted, rate, is_next);
     sample_reference(loop, stamp_ns, wanted, rate);
     loop->condition = {{ C }}_FOLLOWING;
@@ -861,6 +883,7 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
     {{ c }}_real position, const {{ c }}_real *velocity)
 {
     const Coefficients *c = &loop->own.coefficients;
+    Encoder before;
     Real since;
     bool is_next;
     if (!loop->own.is_ready)
@@ -882,13 +905,16 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
     }
     if (!is_next)
         interrupt(loop, since);
+    before = loop->own.encoder;
     if (loop->own.has_unwrapper)
         position = unwrapped(loop, position);
     if (!is_usable(position))
         return fault(loop, stamp_ns);
     if (is_next && ABS(position - loop->position) > c->step_max + c->speed_max * since &&
-        !is_believed(loop, stamp_ns, position))
+        !is_believed(loop, stamp_ns, position)) {
+        loop->own.encoder = before; /* the joint was not there */
         return loop->effort;
+    }
     return answer(loop, stamp_ns, reference_position, reference_velocity, position, velocity,
         is_next ? since : REAL(0.0), is_next);
 }

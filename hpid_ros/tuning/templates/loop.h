@@ -102,6 +102,14 @@ typedef struct {{ c }}_coefficients {
     int64_t glide_ns;              /* takeover_time [ns] */
 } {{ c }}_coefficients;
 
+/* The past of an encoder that wraps around. */
+typedef struct {{ c }}_encoder {
+    bool has_position;
+    bool has_wrapped;      /* at least once */
+    {{ c }}_real position; /* as it was measured [rad] */
+    {{ c }}_real turns;    /* what they add to it [rad] */
+} {{ c }}_encoder;
+
 /* The past of the velocity's estimate. */
 typedef struct {{ c }}_estimate {
     bool has_position;
@@ -111,7 +119,7 @@ typedef struct {{ c }}_estimate {
 
 /* The passage from where the joint was onto the reference. */
 typedef struct {{ c }}_passage {
-    bool is_standing;      /* there is a reference */
+    bool has_reference;      /* there is a reference */
     bool has_begun;        /* since the last reset */
     bool is_gliding;
     int64_t begin_ns;      /* of the glide */
@@ -159,11 +167,8 @@ typedef struct {{ c }}_state {
         int64_t astray_ns;      /* of a state whose position jumped */
         {{ c }}_real astray;    /* that position [rad] */
         bool has_unwrapper;     /* turns are counted, now or until a retuning */
-        bool has_wrapped;       /* the encoder, at least once */
-        bool has_encoder;       /* there was a position before */
-        {{ c }}_real encoder;   /* the last position as it was measured [rad] */
-        {{ c }}_real wrapped;   /* what the turns add to it [rad] */
         {{ c }}_real low, high; /* stops in force [rad] */
+        {{ c }}_encoder encoder;
         {{ c }}_estimate estimate;
         {{ c }}_passage passage;
         {{ c }}_fade fade;

@@ -184,6 +184,10 @@ def test_a_state_that_is_not_finite_gets_no_effort_and_leaves_no_trace(bad, wher
         ({"antiwindup_strategy": "conditional_integration"}, 0.0),
         # As control_toolbox: ki e + (u - u_wanted) / trk = 0 with u_wanted = kp e + I, e = 1.
         ({"tracking_time_constant": 0.05}, 1.0 - 10.0 + 4.0 * 0.05),
+        (
+            {"tracking_time_constant": 1e-4},
+            1.0 - 10.0 + 4.0 * 1e-3,
+        ),  # shorter than a period: all at once
         ({"gains": Gains(10.0, 40.0, 2.0)}, 1.0 - 10.0 + 40.0 * math.sqrt(2.0 / 40.0)),
         ({"gains": Gains(10.0, 40.0, 0.0)}, 1.0 - 10.0 + 40.0 * 10.0 / 40.0),
         # Nothing winds up, and nothing winds back.

@@ -88,6 +88,7 @@ def test_canonical_norm_has_a_value_down_to_the_smallest_numbers(degree, e, de, 
     if 10.0**e > 1e-307 and 10.0**de > 1e-307 and tiny > 1e-300:  # all digits are there
         assert tiny == pytest.approx(raised * 1e-150, rel=1e-9)
     assert CanonicalNorm(0.0, SKEW)(0.0, 2.2250738585e-313) > 0.0  # the smallest rate: no overflow
+    assert CanonicalNorm(0.49, SKEW)(5e-324, 0.0) >= 0.0
 
 
 @given(DEGREES, st.floats(0.01, 10.0))

@@ -2,14 +2,15 @@
 
 import math
 import re
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from harness.loops import Joint
+from harness.loops import Joint, pure_loop
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control import Gains, JointLoop, LoopSettings, ModelTerm
 from hpid_ros.control.overrides import DONE, LONGEST, RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.tuning.autotune import relay_cycle
@@ -179,6 +180,20 @@ def test_a_relay_is_refused_where_it_cannot_be_safe():
         moving.begin()
     with pytest.raises(SettingError, match="no relay now"):
         HeldJoint(**{"gains.d": 0.0, "gains.i": 0.0, "gains.p": 5.0}).begin()
+
+
+@pytest.mark.parametrize(("inertia", "is_refused"), [(10.0, True), (0.5, False)])
+def test_under_decoupling_the_damping_effort_decides_whether_a_joint_moves_too_fast(
+    inertia, is_refused
+):
+    loop = pure_loop(
+        **{"gains": Gains(40.0, 0.0, 4.0), "law": "pid", "compensation": "decoupling"},
+        **{"u_clamp_max": 50.0, "u_clamp_min": -50.0},
+    )
+    for k in range(2):
+        loop.step(k * MS, 0.0, 0.1, ModelTerm(inertia, 0.0, True))
+    with pytest.raises(SettingError, match=r"moves at 0.1 rad/s") if is_refused else nullcontext():
+        loop.begin_relay(ASKED)
 
 
 @pytest.mark.parametrize(

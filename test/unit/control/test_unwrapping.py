@@ -225,6 +225,41 @@ def test_a_damping_stop_gives_nothing_where_no_joint_can_have_come():
     assert stop.step(111 * MS, 0.222) == pytest.approx(steady.step(111 * MS, 0.222))
 
 
+@pytest.mark.parametrize("glitch", [0.0, 0.05, 1.0, -2.9])
+@pytest.mark.parametrize("first", [3.1365, 3.0897, 2.0])  # it wraps after a glitch, or never
+def test_a_position_that_is_refused_is_no_turn(first, glitch):
+    """The loop, and what damps the joint in its place, go on as if it had not been there."""
+    loop, clean = (loop_on(encoder_wrap=math.tau, velocity_max=2.0) for _ in range(2))
+
+    def both(ours, theirs):
+        for k in range(1, 40):
+            place = math.remainder(first + 1.2e-3 * (begun + k), math.tau)
+            effort = ours.step((begun + k) * MS, glitch if k == 4 else place, 1.2)
+            if k == 4:
+                continue
+            wanted = theirs.step((begun + k) * MS, place, 1.2)
+            assert effort == pytest.approx(wanted, rel=1e-3)
+
+    begun = 0
+    both(loop, clean)
+    assert loop.counts.jumps == 1
+    assert not loop.counts.takeovers
+    begun = 39
+    both(loop.damping_stop(0.5), clean.damping_stop(0.5))
+
+
+@pytest.mark.parametrize("there", [math.pi, -1.0, 0.0])
+def test_an_encoder_that_was_set_to_zero_is_believed_with_its_second_state(there):
+    """Also half a turn away, where noise decides which way round it is."""
+    loop = loop_on(encoder_wrap=math.tau, velocity_max=2.0)
+    for k in range(5):
+        loop.step(k * MS, 3.0, 0.0)
+    place = math.remainder(3.0 + there, math.tau) if there else 0.1
+    for k, noise in enumerate((1e-4, -1e-4, 1e-4)):
+        loop.step((5 + k) * MS, place - noise, 0.0)
+    assert (loop.counts.jumps, loop.counts.takeovers) == (1, 1)
+
+
 def test_what_is_set_after_a_stamp_from_the_future_holds_when_it_is_forgotten():
     loop = loop_on(Setpoint(0.0), law="pid")
     for stamp_ns in (0, MS, 3600 * SECOND):

@@ -14,8 +14,8 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.control import ModelTerm
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.velocity import (
-    LARGEST_DEGREE,
-    LEAST_DEGREE,
+    LARGEST_OBSERVER_DEGREE,
+    LEAST_OBSERVER_DEGREE,
     HomogeneousDifferentiator,
     Observer,
     ObserverDesign,
@@ -83,7 +83,7 @@ def test_a_repeated_instant_changes_nothing_and_reset_forgets():
     assert np.array_equal(estimates(source, positions, 0.01), first)
 
 
-DEGREES = st.just(0.0) | st.floats(LEAST_DEGREE, LARGEST_DEGREE)
+DEGREES = st.just(0.0) | st.floats(LEAST_OBSERVER_DEGREE, LARGEST_OBSERVER_DEGREE)
 
 
 def observer(bandwidth=100.0, inertia=1.0, **others):
@@ -100,7 +100,7 @@ def test_velocity_and_disturbance_of_a_double_integrator_are_found(
     each.update(position, None, 0.0)
     for k in range(round(4.0 * 30.0 / bandwidth / PERIOD) + 50):
         effort = 5.0 * math.sin(0.01 * k)
-        each.send(effort)
+        each.note_applied(effort)
         acceleration = (effort + load) / inertia
         position += PERIOD * (velocity + 0.5 * PERIOD * acceleration)
         velocity += PERIOD * acceleration
@@ -154,7 +154,7 @@ def test_no_sequence_of_periods_and_bandwidths_makes_the_error_grow(
         before = size
 
 
-@pytest.mark.parametrize("degree", [0.0, LEAST_DEGREE, LARGEST_DEGREE])
+@pytest.mark.parametrize("degree", [0.0, LEAST_OBSERVER_DEGREE, LARGEST_OBSERVER_DEGREE])
 @pytest.mark.parametrize("bandwidth", [1.0, 1000.0, 1e4])
 def test_a_long_run_of_noise_and_jitter_stays_within_what_the_noise_is(bandwidth, degree):
     chance = random.Random(1)
@@ -182,7 +182,7 @@ def test_a_negative_degree_lets_more_noise_through_than_a_positive_one():
 def test_what_is_taken_over_stays_where_nothing_drives_the_joint(position, velocity):
     """In balance: the effort sent is answered by something, until a sample says otherwise."""
     each = observer(inertia=0.2)
-    each.send(7.0)
+    each.note_applied(7.0)
     each.start_from(position, velocity)
     for k in range(1, 50):
         seen = each.update(position + k * PERIOD * velocity, None, PERIOD)
@@ -194,10 +194,10 @@ def test_what_is_taken_over_stays_where_nothing_drives_the_joint(position, veloc
 def test_another_inertia_moves_no_estimate(before, after):
     assume(abs(before - after) > 1e-3)
     each = observer(inertia=before)
-    each.send(3.0)
+    each.note_applied(3.0)
     each.start_from(0.1, 0.4)
     each.retune(ObserverDesign(after, 200.0, PERIOD))
-    each.send(3.0)
+    each.note_applied(3.0)
     assert each.update(0.1 + 0.4 * PERIOD, None, PERIOD) == pytest.approx(0.4)
 
 
