@@ -154,9 +154,12 @@ class RobotStates:
         return self._state
 
     def _is_first_beyond(self, stamp_ns: int) -> bool:
-        """Tell whether a state is the first one after a gap."""
+        """Tell whether a state is the first one after a gap, as the loop has it."""
         before_ns, self._beyond_ns = self._beyond_ns, stamp_ns
-        return before_ns == _NO_TIME or stamp_ns < before_ns
+        if before_ns == _NO_TIME or stamp_ns < before_ns:
+            return True
+        longest_ns = self._timeout / SECONDS_PER_NANOSECOND
+        return stamp_ns - before_ns > longest_ns >= before_ns - self._stamp_ns
 
     @property
     def lacks_efforts(self) -> bool:
@@ -169,6 +172,8 @@ class RobotStates:
     def hold(self, stamp_ns: int, reason: str) -> RobotState | None:
         """Return the last usable state in place of one that is not, if it is recent."""
         self.last_fault = reason
+        if self._state is not None:
+            self._beyond_ns = stamp_ns
         elapsed = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
         if self._state is not None and 0.0 <= elapsed <= self._timeout:
             self.held += 1

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.files import share_folder
-from hpid_ros.control import LoopSettings
+from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.robot.compensation import (
     Compensator,
     DecouplingShare,
@@ -329,6 +329,30 @@ def test_an_unusable_state_gets_the_last_term_for_state_timeout_and_then_none(
     assert (compensator.states.held, compensator.states.lost) == (1, 2)
     assert compensator.states.last_fault
     assert compensator.term(SECOND + 200_000_000, (1.0, 2.0), None, (3.0, 4.0)) == good
+
+
+@pytest.mark.parametrize("lost", [120, 150, 250])
+def test_after_an_outage_the_first_term_is_that_of_where_the_robot_is_then(lost):
+    """A takeover by the term from before would become a jump with the next state."""
+    values = {"joint": "a", "gains.p": 10.0, "gains.i": 5.0, "u_clamp_max": 90.0}
+    settings = LoopSettings.from_parameters(
+        {**values, "u_clamp_min": -90.0, "compensation": "gravity"}
+    )
+    loop, compensator = JointLoop(settings), Compensator(Sum(), states())
+
+    def answer(k, other):
+        stamp_ns = SECOND + k * 1_000_000
+        term = compensator.term(stamp_ns, (0.1, other), (0.0, 0.0), (3.0, 4.0))
+        return term, compensator.answer(loop, stamp_ns, 0.1, 0.0, term)
+
+    for k in range(5):
+        answer(k, 2.0)
+    for k in range(5, 5 + lost):
+        answer(k, math.nan)
+    first, before = answer(5 + lost, 9.0)
+    second, after = answer(6 + lost, 9.0)
+    assert first == second
+    assert after == pytest.approx(before, abs=1e-6)
 
 
 def test_bad_states_leave_no_trace_in_the_velocities():
