@@ -275,7 +275,7 @@ class Following:
 
     def __init__(self) -> None:
         self.motion: Motion | None = None
-        self.has_waited = False  # for the first state
+        self.has_waited = False  # for the first state, or a takeover
         self.turn = self.encoder_turn = 0.0
         self.restart()
 
@@ -307,6 +307,7 @@ class Following:
         """Start from a position again, and glide onto what is followed."""
         onto = self._onto()
         self.stand(position)
+        self.has_waited = isinstance(self._pending, Setpoint)
         if self.motion is not None and self._pending is None:
             away = self.position - onto.sample(stamp_ns)[0]
             onto = _shifted(onto, whole_turns(away, self.turn))

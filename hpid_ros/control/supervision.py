@@ -16,6 +16,10 @@ from hpid_ros.control.overrides import DampingStop
 _CHECKS_PER_TIMEOUT = 4.0
 """Checks in one timeout."""
 _SHORTEST_PERIOD = 1e-3  # [s] between two looks
+LATE_NS = 10_000_000
+"""By no more than this a state may be later than those before a silence, in [ns]."""
+_PACE, _SEEN_NS = 1.5, 50_000_000  # states that were waiting come faster, seen for so long
+_WAITED_NS = 1_000_000_000  # after so long no state is one that waited
 
 
 class StateTimeout(NamedTuple):
@@ -84,11 +88,14 @@ class Watchdog:
         wait.is_answered = True
         return True
 
-    def wake(self, now_ns: int) -> None:
-        """Note that the process was stopped, which is no silence of the states."""
+    def wake(self, now_ns: int) -> bool:
+        """Note that the process was stopped; tell whether the states had been silent before."""
         wait = self._wait  # another thread may change it
-        if wait is not None and not wait.is_answered:
+        if wait is None:
+            return False
+        if not wait.is_answered:
             self._wait = _Wait(now_ns)
+        return wait.is_answered
 
     def look(self, now_ns: int) -> StateTimeout | None:
         """Return the silence that there is."""
@@ -135,7 +142,10 @@ class SupervisedLoop:
         self.watchdog = Watchdog()
         self._timed_out, self._cut = timed_out, cut
         self._stop: DampingStop | None = None
-        self._was_held = False
+        self._was_held = self._is_resuming = False
+        self._latency_ns: int | None = None  # from the stamp of the last state to its answer
+        self._stamp_ns = 0
+        self._resumed: tuple[int, int] | None = None  # stamp of the first that waited, and when
 
     def begin(self) -> None:
         """Let the loop answer again after a stop."""
@@ -154,8 +164,7 @@ class SupervisedLoop:
 
     def note_release(self, now_ns: int) -> None:
         """Note that the joint was held without effort, and is not any more."""
-        self._was_held = True
-        self.watchdog.wake(now_ns)
+        self._was_held = not self.watchdog.wake(now_ns)  # else it gets the fallback again
 
     def look(self, now_ns: int) -> None:
         """Take note of a silence."""
@@ -173,14 +182,23 @@ class SupervisedLoop:
         now_ns: int,
         step: Callable[[], float] | None = None,
     ) -> float:
-        """Take one state and return the effort that answers it in [N m]."""
+        """Take one state and return the effort that answers it in [N m].
+
+        After a silence or a stop of the process, states that were waiting get the active effort:
+        they say where the joint was, and come faster than time passes.
+        """
         silence, is_unnoticed = self.watchdog.observe(stamp_ns, now_ns)
         self._note(silence)
         if is_unnoticed:
+            self._resume()
             self.loop.note_unanswered()
         if self._was_held:
-            self._was_held = False
+            self._resume()
             self.loop.supersede(0.0)
+        if self._is_resuming and self._has_waited(stamp_ns, now_ns):
+            return (self.loop if self._stop is None else self._stop).effort
+        if stamp_ns != self._stamp_ns:
+            self._latency_ns, self._stamp_ns = now_ns - stamp_ns, stamp_ns
         if self._stop is not None:
             return self._stop.step(stamp_ns, position, velocity)
         return self.loop.step(stamp_ns, position, velocity) if step is None else step()
@@ -191,4 +209,26 @@ class SupervisedLoop:
         if self._stop is not None:
             self._cut()
         elif silence.is_new and self.loop.stamp_ns is not None:
+            self._resume()
             self._timed_out(silence.duration, self.loop.note_timeout())
+
+    def _resume(self) -> None:
+        self._is_resuming, self._was_held, self._resumed = True, False, None
+
+    def _has_waited(self, stamp_ns: int, now_ns: int) -> bool:
+        """Tell whether a state was waiting to be answered; the first that was not ends it."""
+        first_ns, since_ns = self._resumed or (stamp_ns, now_ns)
+        self._resumed = first_ns, since_ns
+        passed_ns = now_ns - since_ns
+        is_live = (
+            self.loop.settings.timing.is_simulated  # its clock need not keep pace
+            or self._latency_ns is None
+            or now_ns - stamp_ns <= self._latency_ns + LATE_NS
+            or (
+                passed_ns >= _SEEN_NS and stamp_ns - first_ns <= _PACE * passed_ns
+            )  # another clock
+            or passed_ns > _WAITED_NS
+        )
+        if is_live:
+            self._is_resuming, self._resumed = False, None
+        return not is_live

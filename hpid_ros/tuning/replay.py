@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import math
 import struct
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 from hpid_ros.base.errors import HpidError
@@ -23,6 +25,7 @@ from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import LARGEST_POSITION, Motion
 from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.supervision import LATE_NS
 
 Answer = Callable[[JointLoop], float]
 """Steps a loop with a state, and returns its effort in [N m]."""
@@ -168,6 +171,9 @@ _BEGUN_BEFORE = (
     "that the joint had only just been taken over when the recording began; it had not, and what "
     "its controller remembered is not in the bag"
 )
+_WAITED = (
+    "that states which waited while the controller was stopped, or busy, got the effort in force"
+)
 _CONTEXT = 1.0  # [s] within which something that happened may be the reason of a difference
 
 
@@ -267,7 +273,7 @@ class _Replay:
             self._pass_over(index, state)
         else:
             self._passed_over = 0
-            self._compare(index, state, own.effort)
+            self._compare(index, state, own)
         self._after(state, commands or [])
         self._log_time_ns = state.log_time_ns
 
@@ -287,7 +293,8 @@ class _Replay:
             received.append(each)
         self._keep([*self._branches, *received])
 
-    def _compare(self, index: int, state: RecordedState, recorded: float) -> None:
+    def _compare(self, index: int, state: RecordedState, command: RecordedCommand) -> None:
+        recorded = command.effort
         if self._is_left:
             self._is_left = False
             for branch in self._branches:
@@ -302,8 +309,15 @@ class _Replay:
             for branch in woken:
                 branch.loop.note_unanswered()
             branches += woken
+        waiting = []
+        if self._has_waited(state, command):
+            waiting = [branch.copy(2.0, _WAITED) for branch in branches]
+        for branch in waiting:
+            branch.loop.note_unanswered()
+            branch.effort = branch.loop.effort
         for branch in branches:
             branch.effort = state.answer(branch.loop)
+        branches += waiting
         equal = [branch for branch in branches if _is_same(branch.effort, recorded)]
         if equal:
             self._counts["equal"] += 1
@@ -312,6 +326,13 @@ class _Replay:
             return
         self._differ(state, recorded, branches[0].effort)
         self._keep(branches[:1])
+
+    def _has_waited(self, state: RecordedState, command: RecordedCommand) -> bool:
+        """Tell whether an answer came so late that its state was waiting for the controller."""
+        states = self._record.states
+        late_ns = state.log_time_ns + LATE_NS
+        later = bisect_right(states, late_ns, key=attrgetter("log_time_ns"))
+        return later < len(states) and states[later].place < command.place
 
     def _differ(self, state: RecordedState, recorded: float, computed: float) -> None:
         """Note a difference, or that one goes on."""

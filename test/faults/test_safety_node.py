@@ -207,6 +207,43 @@ def test_a_controller_that_was_stopped_starts_from_where_the_joint_is(harness, f
     faults.count("controllers frozen")
 
 
+@pytest.mark.parametrize("stop", [signal.SIGSTOP, signal.SIGTSTP])
+def test_states_that_waited_while_it_was_stopped_do_not_move_the_effort(harness, faults, stop):
+    """They say where the joint was, and all come at once: it falls, and is taken over there."""
+    options = {"state_clock": "wall", "state_watchdog": True}
+    process = harness.start_controller(law="pid", **options, **GAINS).process
+    position = 0.0
+
+    def publish_for(seconds, speed):
+        nonlocal position
+        due = time.monotonic()
+        for _ in range(round(seconds * 1000)):
+            due += 1e-3
+            position += 1e-3 * speed
+            harness.publish(time.monotonic_ns(), position)
+            while time.monotonic() < due:
+                harness.executor.spin_once(timeout_sec=max(due - time.monotonic(), 0.0))
+
+    publish_for(0.2, 0.5)
+    before = harness.commands[-1].effort[0]
+    process.send_signal(stop)
+    try:
+        publish_for(2.0, 4.0)
+    finally:
+        process.send_signal(signal.SIGCONT)
+    answered, thawed_ns = len(harness.commands), time.monotonic_ns()
+
+    def is_answered():
+        publish_for(0.05, 0.0)
+        return sum(each.stamp_ns > thawed_ns for each in harness.commands[answered:]) > 20
+
+    harness.wait(is_answered, what="answers to states from after the freeze")
+    efforts = [each.effort[0] for each in harness.commands[answered:]]
+    assert min(efforts) > min(before, 0.0) - 0.1
+    assert max(efforts) < max(before, 0.0) + 0.1
+    faults.count("controllers frozen")
+
+
 def test_no_request_ends_the_node(harness, faults):
     process = harness.start_controller(law="pid", **GAINS).process
     odd = [Parameter(name="gains.p", value=ParameterValue(type=kind)) for kind in (99, 0, 6, 1)]

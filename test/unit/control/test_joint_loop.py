@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from functools import partial
 
 import pytest
 from harness.loops import loop_settings, pure_loop
@@ -124,6 +125,23 @@ def test_a_clock_that_goes_back_resets_loop_and_motion():
     again = [loop.step(k * MS - 5 * MS, 0.05 * k, 0.0) for k in range(10, 20)]
     assert again == first  # integral, velocity filter and trajectory began again
     assert loop.counts.resets == 1
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_setpoint_that_comes_beside_a_takeover_is_no_step(is_first):
+    loop = hold(loop_on(Setpoint(0.0)), 20)
+    acts = [partial(loop.receive, Setpoint(1.0)), loop.note_unanswered]
+    for act in acts if is_first else reversed(acts):
+        act()
+    for k in range(20, 25):
+        loop.step(k * MS, 0.0, 0.0)
+        assert abs(loop.reference[0]) < 1e-3
+    for k in range(25, 600):
+        loop.step(k * MS, 0.0, 0.0)
+    assert loop.reference[0] == 1.0
+    loop.receive(Setpoint(0.5))
+    loop.step(600 * MS, 0.0, 0.0)
+    assert loop.reference[0] == 0.5
 
 
 def test_a_setpoint_that_was_received_before_the_first_state_is_no_step():

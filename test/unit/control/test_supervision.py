@@ -129,14 +129,23 @@ def test_without_a_state_before_or_a_duration_there_is_no_ramp():
 
 @given(
     st.lists(
-        st.sampled_from(["states", "frozen", "silent", "silent, seen late", "held"]), max_size=12
+        st.sampled_from(
+            ["states", "frozen", "silent", "silent, seen late", "held", "silent, then held"]
+        ),
+        max_size=12,
     ),
     st.floats(-8.0, 8.0),
 )
 def test_whatever_interrupts_the_effort_goes_on_from_the_active_one(events, fallback):
     joint = settled(fallback_effort=fallback)
     for event in events:
-        if event == "held":
+        if event.startswith("silent, then"):
+            joint.wait(0.1, looks=[0.06], gives=True)
+            joint.now += 300 * MS
+            joint.note_release(joint.now)
+            joint.wait(0.0, gives=True)
+            assert joint.active == fallback
+        elif event == "held":
             joint.now += 300 * MS
             joint.note_release(joint.now)
             joint.active = 0.0
@@ -147,6 +156,44 @@ def test_whatever_interrupts_the_effort_goes_on_from_the_active_one(events, fall
         before = joint.active
         assert joint.states() == pytest.approx(before, abs=0.1), event
         joint.states(20)
+
+
+@pytest.mark.parametrize("how", ["frozen", "silent", "held", "held for a moment"])
+@pytest.mark.parametrize("period", [MS, 20 * MS])
+def test_states_that_waited_get_the_active_effort_and_the_joint_is_taken_over_where_it_is(
+    how, period
+):
+    """It falls while the process stands still, and the states from then come all at once."""
+    joint = settled(fallback_effort=1.5)
+    stopped, position = joint.now, 0.3
+    length = 0.04 if "moment" in how else 1.5
+    joint.wait(length, looks=[0.06] if how == "silent" else [], gives=how == "silent")
+    if how.startswith("held"):
+        joint.note_release(joint.now)
+        joint.active = 0.0
+    before, thawed = joint.active, joint.now
+    for stamp in range(stopped + period, thawed, period):
+        joint.now += MS // 5
+        position = 0.3 - (stamp - stopped) / 1e9
+        if joint.now - stamp > 15 * MS:
+            assert joint.answer(stamp, position, -1.0, joint.now) == before
+    joint.now += 10 * MS
+    for _ in range(5):
+        joint.now += MS
+        effort = joint.answer(joint.now, position, 0.0, joint.now)
+        assert effort == pytest.approx(before, abs=0.1)
+    assert joint.loop.counts.takeovers == 1
+
+
+@pytest.mark.parametrize("offset", [-(10**12), 10**12, 50 * MS])
+def test_a_clock_that_was_set_in_a_silence_costs_one_state(offset):
+    joint = settled()
+    joint.wait(1.5)
+    effort = joint.active
+    for k in range(1, 200):
+        joint.now += MS
+        joint.active = joint.answer(joint.now - offset, 0.3 + 1e-3 * k, 0.0, joint.now)
+    assert joint.active != effort
 
 
 def test_a_watchdog_says_when_to_look_again():

@@ -225,6 +225,24 @@ def test_after_a_silence_the_loop_takes_over_as_it_did(is_noticed):
     assert (verdict.equal, verdict.different, verdict.fallbacks) == (101, 0, int(is_noticed))
 
 
+def test_states_that_waited_for_a_stopped_controller_have_the_effort_in_force():
+    recorder = recorded()
+    effort = recorder.loop.effort
+    waiting = recorder.stamp_ns
+    for _ in range(600):
+        recorder.state(is_heard=False)
+    recorder.loop.note_unanswered()
+    for k in range(1, 600, 40):
+        recorder.command(waiting + k * MS, effort)
+    for _ in range(50):
+        recorder.state()
+    verdict = recorder.replay()
+    assert verdict.is_the_law
+    assert (verdict.equal, verdict.different) == (200 + 15 + 50, 0)
+    recorder.commands[205] = recorder.commands[205]._replace(effort=effort + 1e-9)
+    assert not recorder.replay().is_the_law
+
+
 def with_relay(apart=0, is_told=True):
     """Return a recording in which a relay drives the joint for a while."""
     recorder = Recorder(3)
