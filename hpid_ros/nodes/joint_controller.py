@@ -263,7 +263,7 @@ class JointController(ManagedNode):
         return ""
 
     def _on_state(self, raw: bytes) -> None:
-        began_ns = time.perf_counter_ns()
+        began_ns, cuts = time.perf_counter_ns(), self._commands.cuts
         self._supervised.note_past_timeout(began_ns)
         if self._is_left():  # it was on its way
             return
@@ -280,7 +280,7 @@ class JointController(ManagedNode):
         effort = self._supervised.answer(*sample, began_ns, by_model)
         if self._is_left():  # the state came too late for a damping stop
             return
-        self._commands.send(sample.stamp_ns, effort)
+        self._commands.send(sample.stamp_ns, effort, cuts)
         if self._readiness is not None:
             self._note_first_states()
         self._timing.note(began_ns, time.perf_counter_ns())

@@ -7,11 +7,13 @@ import sys
 import time
 
 import pytest
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness.graph import ros_arguments
 from harness.health import NAME, Told, call, change, state
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -242,6 +244,18 @@ def test_states_that_waited_while_it_was_stopped_do_not_move_the_effort(harness,
     assert min(efforts) > min(before, 0.0) - 0.1
     assert max(efforts) < max(before, 0.0) + 0.1
     faults.count("controllers frozen")
+
+
+def test_a_time_that_is_none_ends_nothing(harness, faults):
+    process = harness.start_controller(law="pid", use_sim_time=True, **GAINS).process
+    clock = harness.node.create_publisher(Clock, "/clock", RARE)
+    harness.wait(lambda: clock.get_subscription_count() > 0, what="its subscription of the clock")
+    harness.ask(0, 0.0)
+    for k in range(1, 20):
+        clock.publish(Clock(clock=Time(sec=-k)))
+        assert harness.ask(k * MS, -0.5) > 3.0
+    assert process.poll() is None
+    faults.count("impossible times of a clock", 19)
 
 
 def test_no_request_ends_the_node(harness, faults):

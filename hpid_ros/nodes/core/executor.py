@@ -62,6 +62,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.time_source import CLOCK_TOPIC
 from rclpy.utilities import remove_ros_args
 
 from hpid_ros.base.errors import ClaimError, HpidError, SettingError
@@ -204,6 +205,8 @@ class ClosingNode(Node):
         self, kind: Any, topic: str, callback: Any, qos: Any, **options: Any
     ) -> Subscription:
         """Create a subscription, as rclpy does; overrides change no profile but its own."""
+        if topic == CLOCK_TOPIC:
+            callback = partial(_note_clock, callback)
         return super().create_subscription(kind, topic, callback, copy(qos), **options)
 
     def begin_stop(self) -> Future | None:
@@ -255,6 +258,12 @@ class ClosingNode(Node):
         """Go on after :meth:`cut_effort`."""
 
 
+def _note_clock(note: Callable[[Any], None], message: Any) -> None:
+    """Pass a time on to rclpy, unless it is none: it would raise, and end the process."""
+    with contextlib.suppress(ValueError, OverflowError):
+        note(message)
+
+
 def _type_of(default: object) -> Parameter.Type:
     """Return the type that a parameter is declared with."""
     if isinstance(default, Parameter.Type):
@@ -267,6 +276,7 @@ def _type_of(default: object) -> Parameter.Type:
 _HEEDED_WITHIN = 0.25  # [s] for the executor to begin a stop; then joints are left without it
 _LEFT_WITHIN = 4.75  # [s] for all joints to be left; then the process ends without the executor
 _CLOSED_WITHIN = 60.0  # [s] for each other thing, as a recorder's close; then it ends as well
+_CHECKED_AGAIN = 0.1  # [s] after a check that raised something
 _STOOD_STILL = 1.0  # [s] by which this thread is late, if the process was stopped
 _CUT_WITHIN = 0.5  # [s] for all subscribers to acknowledge, before the process is suspended
 
@@ -356,7 +366,7 @@ class Supervisor:
 
     def _supervise(self) -> None:
         while True:
-            checks = [_attempt(node.check, math.inf) for node in self._nodes]
+            checks = [_attempt(node.check, _CHECKED_AGAIN) for node in self._nodes]
             within = min(*checks, self._end(), math.inf)
             timeout = None if within == math.inf else max(within, 0.0)
             begun = time.monotonic()

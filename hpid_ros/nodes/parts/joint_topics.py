@@ -240,20 +240,23 @@ class Commands:
         self.publisher, self.subscribers, self._send = sink
         self._lock = threading.Lock()
         self._stamp_ns: int | None = None  # of the last answer; None once the joint is left
-        self._is_cut = False
+        self._is_cut = self._is_zero = False
+        self.cuts = 0
+        """How often the joint was cut; an effort from before is sent no more."""
 
-    def send(self, stamp_ns: int, effort: float) -> None:
+    def send(self, stamp_ns: int, effort: float, cuts: int) -> None:
         with self._lock:
-            if not self._is_cut:
+            if not self._is_cut and cuts == self.cuts:
                 self._stamp_ns = stamp_ns
                 self._send(stamp_ns, effort)
 
     def leave(self) -> bool:
         """Publish a zero if there is a command to replace; the last one until the next state."""
         with self._lock:
-            stamp_ns, self._stamp_ns = self._stamp_ns, None
-            if stamp_ns is not None and not self._is_cut:
+            stamp_ns = self._stamp_ns
+            if stamp_ns is not None and not self._is_zero:
                 self._send(stamp_ns, 0.0)
+            self._stamp_ns = None
             return stamp_ns is not None
 
     def fall_back(self, effort: float, is_due: Callable[[], bool]) -> None:
@@ -267,16 +270,19 @@ class Commands:
 
     def cut(self) -> None:
         """Publish a zero, after a command that is under way, and nothing else."""
-        if self._is_cut:
+        if self._is_zero:
             return
-        self._is_cut = True
+        if not self._is_cut:
+            self._is_cut = True
+            self.cuts += 1
         if not self._lock.acquire(timeout=_LOCK_WITHIN):
             return
         try:
             if self._stamp_ns is not None:
                 self._send(unsolicited_stamp(self._stamp_ns), 0.0)
+            self._is_zero = True
         finally:
             self._lock.release()
 
     def restore(self) -> None:
-        self._is_cut = False
+        self._is_cut = self._is_zero = False

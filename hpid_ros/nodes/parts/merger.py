@@ -178,6 +178,8 @@ class Receiver:
             raise SettingError("it has no parameter joints")
         if interface not in (None, "", EFFORT):
             raise SettingError(f"it commands the {interface} of its joints, not their effort")
+        if not isinstance(joints, list | tuple) or not all(isinstance(x, str) for x in joints):
+            raise SettingError("its parameter joints is no list of names")
         order = require_order(joints)
         if self._given and self._given != order:
             raise SettingError(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
@@ -74,6 +76,9 @@ def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:
     return message
 
 
+_COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
+
+
 class TrajectorySubscriptions:
     """Takes ``joint_trajectory`` from latched and from volatile publishers alike.
 
@@ -86,6 +91,7 @@ class TrajectorySubscriptions:
     def __init__(self, node: Node, take: Callable[[bytes], None]) -> None:
         self._take = take
         self._taken: tuple[bool, bytes] | None = None
+        self._taken_at = -math.inf
         # Only the contract's profile may be overridden: both would have the same parameters.
         latched = node.create_subscription(
             JointTrajectoryMessage,
@@ -107,10 +113,11 @@ class TrajectorySubscriptions:
         self.subscriptions = [latched, volatile]
 
     def _on_message(self, is_latched: bool, raw: bytes) -> None:
-        if self._taken == (not is_latched, raw):
+        now = time.monotonic()
+        if self._taken == (not is_latched, raw) and now - self._taken_at < _COPIED_WITHIN:
             self._taken = None  # its second copy; the next one is meant
             return
-        self._taken = is_latched, raw
+        self._taken, self._taken_at = (is_latched, raw), now
         self._take(raw)
 
 

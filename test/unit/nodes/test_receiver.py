@@ -78,6 +78,7 @@ def test_what_was_known_of_one_that_has_gone_is_forgotten():
     [
         ({"joints": None}, "it has no parameter joints"),
         ({"joints": []}, "must be named once each, not none"),
+        *(({"joints": odd}, "is no list of names") for odd in (5, "ab", [1.0, 2.0], True)),
         ({"joints": ["a", "a"]}, "must be named once each, not a, a"),
         ({"interface": "position"}, "it commands the position of its joints, not their effort"),
         ({"given": ("a", "b")}, "its joints are b, a, those that were given a, b"),

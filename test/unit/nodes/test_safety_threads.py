@@ -1,7 +1,11 @@
 """Two threads beside the loop: what the decoder hands over, and what the supervisor commands."""
 
+import math
 import threading
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
+import pytest
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -9,9 +13,14 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from hpid_ros.base.errors import MessageError
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_trajectory import decode_trajectory
+from hpid_ros.nodes.core.executor import Supervisor
 from hpid_ros.nodes.parts import references as controller_references
 from hpid_ros.nodes.parts.joint_topics import Commands, Sink
-from hpid_ros.nodes.parts.references import ControllerReferences, ReferenceDecoder
+from hpid_ros.nodes.parts.references import (
+    ControllerReferences,
+    ReferenceDecoder,
+    TrajectorySubscriptions,
+)
 
 MS = 1_000_000
 
@@ -38,15 +47,15 @@ def test_nothing_follows_the_last_zero_of_another_thread():
     commands.cut()
     assert sent == []  # the joint was never driven: another controller may have it
     commands, sent = recorded_commands()
-    commands.send(MS, 5.0)
+    commands.send(MS, 5.0, commands.cuts)
     commands.fall_back(1.5, lambda: False)
     commands.fall_back(1.5, lambda: True)
     commands.cut()
-    commands.send(2 * MS, 6.0)
+    commands.send(2 * MS, 6.0, commands.cuts)
     commands.restore()
-    commands.send(3 * MS, 7.0)
+    commands.send(3 * MS, 7.0, commands.cuts)
     commands.cut()
-    commands.send(4 * MS, 8.0)
+    commands.send(4 * MS, 8.0, commands.cuts)
     commands.fall_back(1.5, lambda: True)
     assert commands.leave()
     assert not commands.leave()
@@ -60,13 +69,80 @@ def test_nothing_follows_the_last_zero_of_another_thread():
     ]
 
 
+def test_an_effort_that_was_computed_before_the_process_was_stopped_is_not_sent_after_it():
+    commands, sent = recorded_commands()
+    commands.send(MS, 5.0, commands.cuts)
+    before = commands.cuts
+    commands.cut()
+    commands.restore()
+    commands.send(2 * MS, 6.0, before)
+    commands.send(3 * MS, 7.0, commands.cuts)
+    assert sent == [(MS, 5.0), (MS + 1, 0.0), (3 * MS, 7.0)]
+
+
+def test_a_last_zero_that_could_not_be_sent_is_tried_again():
+    sent, faults = [], [RuntimeError("the middleware"), None, None]
+
+    def send(*command):
+        if command[1] == 0.0 and (fault := faults.pop(0)):
+            raise fault
+        sent.append(command)
+
+    commands = Commands(Sink(None, None, send))
+    commands.send(MS, 5.0, commands.cuts)
+    with pytest.raises(RuntimeError):
+        commands.leave()
+    assert commands.leave()
+    commands.send(2 * MS, 6.0, commands.cuts)
+    with commands._lock:
+        commands.cut()  # a command is under way, for too long
+    assert len(sent) == 3
+    commands.cut()
+    commands.cut()
+    assert sent[1:] == [(MS, 0.0), (2 * MS, 6.0), (2 * MS + 1, 0.0)]
+
+
 def test_a_joint_that_was_left_is_not_commanded_by_another_thread():
     commands, sent = recorded_commands()
-    commands.send(MS, 5.0)
+    commands.send(MS, 5.0, commands.cuts)
     assert commands.leave()
     commands.fall_back(1.5, lambda: True)
     commands.cut()
     assert sent == [(MS, 5.0), (MS, 0.0)]
+
+
+def test_a_trajectory_that_comes_again_later_is_another_one(monkeypatch):
+    """A late joiner had the latched one, and somebody sends the same with a volatile publisher."""
+    taken, now = [], [0.0]
+    monkeypatch.setattr(controller_references.time, "monotonic", lambda: now[0])
+    subscriptions = TrajectorySubscriptions(MagicMock(), taken.append)
+    for is_latched, later in ((True, 0.0), (False, 0.1), (True, 5.0), (False, 5.0)):
+        now[0] += later
+        subscriptions._on_message(is_latched, b"home")
+    assert len(taken) == 3
+
+
+def test_a_check_that_raises_is_called_again(capsys):
+    """Else no later silence of the states would get the fallback effort."""
+    is_again, checks = threading.Event(), []
+
+    def check():
+        checks.append(None)
+        if len(checks) == 1:
+            raise RuntimeError("the middleware")
+        is_again.set()
+        return math.inf
+
+    supervisor = Supervisor()
+    supervisor._nodes = [SimpleNamespace(check=check)]
+    thread = threading.Thread(target=supervisor._supervise)
+    thread.start()
+    try:
+        assert is_again.wait(10.0)
+    finally:
+        supervisor._wake(0)
+        thread.join()
+    assert "RuntimeError: the middleware" in capsys.readouterr().err
 
 
 def test_of_a_flood_the_newest_is_decoded_and_what_all_have_got_is_decoded_once(monkeypatch):
