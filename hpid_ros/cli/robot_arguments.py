@@ -436,6 +436,7 @@ def export(parser: Parser) -> None:
             "hpid export my.yaml --c -o c_code": "for a microcontroller",
             "hpid export my.yaml --ros2-control -o my_arm": "for colcon build",
         },
+        "--urdf gives the joints' limits, too, and the inertias that nothing else says. "
         "docs/export.md says what the code holds and what stays with the node.",
     )
     text = """

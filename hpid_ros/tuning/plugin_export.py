@@ -173,7 +173,7 @@ _OF_THE_NODE: Mapping[str, Any] = {
     "robot_description": {
         "type": "string",
         "default_value": "",
-        "description": "Not used: its limits are in the exported parameters",
+        "description": "Not used: give the robot's URDF to hpid export --urdf",
         "read_only": True,
     },
     "introspection_rate": {

@@ -183,6 +183,45 @@ def test_a_package_that_cannot_be_is_refused_and_nothing_is_written(
     assert not folder.exists()
 
 
+@pytest.fixture
+def urdf(tmp_path):
+    """Return the file of a robot that has limits."""
+    limit = '<limit lower="-1.5" upper="2.5" effort="7.5" velocity="3.0"/>'
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "upper", "lower"))
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{above}"/><child link="{below}"/>'
+        f'<axis xyz="0 0 1"/>{limit}</joint>'
+        for name, above, below in (("elbow", "base", "upper"), ("wrist", "upper", "lower"))
+    )
+    file = tmp_path / "arm.urdf"
+    file.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    return file
+
+
+def test_limits_of_the_robot_are_exported(controllers, urdf, tmp_path):
+    folder = tmp_path / "firmware"
+    command = ["export", "--c", str(controllers(u_clamp_max=5.0)), "-o", str(folder)]
+    assert main([*command, "--urdf", str(urdf)]) == DONE
+    elbow, wrist = ((folder / f"hpid_{name}.c").read_text() for name in ("elbow", "wrist"))
+    for line in (
+        ".u_clamp_max = REAL(7.5)",
+        ".position_min = REAL(-1.5)",
+        ".velocity_max = REAL(3.0)",
+    ):
+        assert line in elbow
+    assert ".u_clamp_max = REAL(5.0)" in wrist
+    assert ".u_clamp_min = REAL(-7.5)" in wrist
+
+
+def test_limits_that_a_file_leaves_to_its_robot_are_not_lost_without_a_word(
+    controllers, tmp_path, capsys
+):
+    file = controllers(robot_description="package://arm/arm.urdf")
+    assert main(["export", "--c", str(file), "-o", str(tmp_path / "firmware")]) == BAD_INPUT
+    assert "name the robot's URDF with --urdf" in capsys.readouterr().err
+    assert not (tmp_path / "firmware").exists()
+
+
 def test_a_folder_that_is_no_package_is_refused(controllers, tmp_path, capsys):
     arguments = ["export", str(controllers()), "--ros2-control", "-o", str(tmp_path / "My-Arm")]
     assert main(arguments) == BAD_INPUT

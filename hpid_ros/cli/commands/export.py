@@ -8,13 +8,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.files import refuse_output
+from hpid_ros.base.names import node_sections
+from hpid_ros.base.yaml_files import load_document
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import (
     first_homogeneous,
     inertias_from,
     joint_progress,
+    load_robot,
     loop_file,
     require_controller,
     require_joints,
@@ -22,6 +25,7 @@ from hpid_ros.cli.options import (
 )
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.in_process import controllers_text
+from hpid_ros.robot.description import RobotLimits
 from hpid_ros.stability.gain_boxes import gain_ranges
 from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.tuning.c_export import c_files, file_names, require_distinct
@@ -30,7 +34,8 @@ from hpid_ros.tuning.plugin_export import package_files, require_package
 
 def run(options: argparse.Namespace) -> int:
     """Export, then write: all files or, where one cannot be, none."""
-    loops = _chosen(_loops(options.file, options.controller), options.joint)
+    chosen = _chosen(_loops(options.file, options.controller), options.joint)
+    loops = _within_robot(options, chosen)
     require_distinct([each.joint for each in loops])
     if options.output.exists() and not options.output.is_dir():
         raise SettingError(f"{options.output} is no folder; name one with -o")
@@ -54,7 +59,10 @@ def _export_plugin(options: argparse.Namespace, loops: Sequence[LoopSettings]) -
     require_package(package, [each.joint for each in loops])
     _refuse_in_the_way(options, ["package.xml", "config/joints.yaml"])
     _, parameters = loop_file(options.file)
-    known = {**parameters.inertias, **inertias_from(options, [each.joint for each in loops])}
+    joints = [each.joint for each in loops]
+    without_robot = argparse.Namespace(**{**vars(options), "urdf": None})
+    known = inertias_from(options, joints) | parameters.inertias
+    known |= inertias_from(without_robot, joints)
     judged = [(each, inertia_of(each, known.get(each.joint))) for each in loops]
     print(
         f"hpid: certifying {len(loops)} loops; half a minute to two for each kind", file=sys.stderr
@@ -91,6 +99,26 @@ def _chosen(loops: Sequence[LoopSettings], joints: Sequence[str]) -> list[LoopSe
     """Return the loops of the joints that are named, or all if none is."""
     require_joints(joints, loops)
     return [each for each in loops if not joints or each.joint in joints]
+
+
+def _within_robot(
+    options: argparse.Namespace, loops: Sequence[LoopSettings]
+) -> Sequence[LoopSettings]:
+    """Return loops within the limits of the robot that ``--urdf`` names."""
+    if options.urdf is None:
+        sections = node_sections(load_document(options.file, SettingError).values)
+        if any(own.get("robot_description") for own in sections.values()):
+            raise SettingError(
+                f"{options.file} takes limits from a robot_description, which no exported loop "
+                f"has: name the robot's URDF with --urdf"
+            )
+        return loops
+    robot = load_robot(options.urdf).description
+    try:
+        found = robot.select([each.joint for each in loops])
+    except HpidError as error:
+        raise SettingError(f"{options.urdf}: {error}") from None
+    return [RobotLimits.of(own).within(loop) for own, loop in zip(found, loops, strict=True)]
 
 
 def _refuse_in_the_way(options: argparse.Namespace, names: Iterable[str]) -> None:
