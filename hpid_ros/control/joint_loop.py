@@ -71,15 +71,15 @@ class JointLoop:
     """The control of one joint, without ROS, files or clocks.
 
     Time enters with the stamps of the states alone: equal stamps are a repeat, which gets the
-    active effort again; a stamp that goes back resets the loop. Until it is told otherwise, a
+    active effort again; stamps that go back reset the loop. Until it is told otherwise, a
     loop holds the position of its first state.
 
     Where the joint was without a command of the loop for longer than ``state_timeout`` (a gap
     between the stamps, :meth:`note_timeout`, states that cannot be used), and where its position
     jumped, the loop takes over again: it starts from where the joint is, with the active effort
     as its integral (after a jump without its derivative term), and glides onto a motion that is
-    under way. A gap is believed with its second state: the first gets the active effort, so that
-    a single stamp from the future leaves nothing behind.
+    under way. A gap, and on a wall clock a stamp that goes back, is believed with its second
+    state: the first gets the active effort, so that a single wrong stamp leaves nothing behind.
 
     Args:
         settings: Checked settings.
@@ -365,8 +365,9 @@ class JointLoop:
             return self.reject(stamp_ns, reason)
         dt = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
         is_next = 0.0 < dt <= timing.state_timeout
-        if dt > timing.state_timeout and not self._has_come_before(stamp_ns):
-            return self._pass_over_gap(stamp_ns, dt)
+        is_odd = dt > timing.state_timeout or (dt < 0.0 and not timing.is_simulated)
+        if is_odd and not self._has_come_before(stamp_ns):
+            return self._pass_over(stamp_ns, dt)
         if not is_next:
             self._interrupt(dt)
         if self._unwrapper is not None:
@@ -522,7 +523,7 @@ class JointLoop:
                 self._unwrapper.interrupt()
 
     def _has_come_before(self, stamp_ns: int) -> bool:
-        """Tell whether a state that comes after a gap is not the first one."""
+        """Tell whether a state with an odd stamp is not the first one."""
         if self._refused_ns is None or stamp_ns < self._refused_ns:
             return False
         assert self.stamp_ns is not None
@@ -531,10 +532,12 @@ class JointLoop:
             self._refused_ns - self.stamp_ns
         ) * SECONDS_PER_NANOSECOND > timeout
 
-    def _pass_over_gap(self, stamp_ns: int, dt: float) -> float:
-        """Answer the first state after a gap with the active effort: its stamp may be wrong."""
+    def _pass_over(self, stamp_ns: int, dt: float) -> float:
+        """Answer the first state with an odd stamp with the active effort: it may be wrong."""
         self.last_fault = f"no usable state for {dt:g} s by the stamps"
-        self.counts.gaps += 1
+        if dt < 0.0:
+            self.last_fault = f"one stamp was {-dt:g} s before the last"
+        self.counts.gaps += dt > 0.0
         self.counts.rejected += 1
         if self.state is LoopState.SILENT:
             self._law.override_effort(self.settings.effort.fallback)

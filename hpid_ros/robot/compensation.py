@@ -128,7 +128,8 @@ class RobotStates:
         if fault:
             return self.hold(stamp_ns, fault)
         dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
-        if state is not None and dt > self._timeout and self._is_first_beyond(stamp_ns):
+        is_odd = dt > self._timeout or (dt < 0.0 and not self._settings.timing.is_simulated)
+        if state is not None and is_odd and self._is_first_beyond(stamp_ns):
             return state  # its stamp may be wrong, and the loop passes over it
         if state is not None and not 0.0 < dt <= self._timeout:
             self._restart(is_gap=dt > 0.0)
@@ -154,7 +155,7 @@ class RobotStates:
         return self._state
 
     def _is_first_beyond(self, stamp_ns: int) -> bool:
-        """Tell whether a state is the first one after a gap, as the loop has it."""
+        """Tell whether a state is the first one with an odd stamp, as the loop has it."""
         before_ns, self._beyond_ns = self._beyond_ns, stamp_ns
         if before_ns == _NO_TIME or stamp_ns < before_ns:
             return True

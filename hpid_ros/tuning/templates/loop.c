@@ -792,7 +792,7 @@ static void interrupt(State *loop, Real since)
     }
 }
 
-/* Whether a state that comes after a gap is not the first one. */
+/* Whether a state with an odd stamp is not the first one. */
 static bool has_come_before(const State *loop, int64_t stamp_ns)
 {
     Real timeout = loop->settings.state_timeout * SLACK;
@@ -898,7 +898,7 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
         return fault(loop, stamp_ns);
     since = loop->own.has_stamp ? seconds(loop->own.stamp_ns, stamp_ns) : REAL(0.0);
     is_next = since > 0 && since <= loop->settings.state_timeout * SLACK;
-    if (since > 0 && !is_next && !has_come_before(loop, stamp_ns)) {
+    if (since != 0 && !is_next && !has_come_before(loop, stamp_ns)) {
         loop->own.has_unusable = true; /* its stamp may be wrong */
         loop->own.unusable_ns = stamp_ns;
         return loop->effort;
