@@ -53,7 +53,7 @@ class TrialPanel:
                 'aria-label="hold to run, release to stop"'
             )
             self._hold.on(
-                "pointerdown", js_handler="(event) => window.hpidLive.hold(event.currentTarget)"
+                "pointerdown", js_handler="(event) => window.hpidLive.holdBy(event)"
             )
             self._cancel = button("Cancel", lambda: self._trials.cancel())
         self._said = ui.label().props('aria-live="polite"')

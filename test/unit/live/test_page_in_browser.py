@@ -312,6 +312,48 @@ def test_without_the_token_or_from_another_page_nothing_is_to_be_had(context, se
     assert server.nothing_more()
 
 
+def test_the_button_is_held_by_the_first_button_alone_and_never_after_it(open_page):
+    """A menu that a press opens takes the release away."""
+    page = open_page()
+    page.wait_for_function("window.hpidLive.frames > 5")
+    held = page.evaluate(
+        """() => {
+            const live = window.hpidLive;
+            const button = document.createElement("button");
+            button.dataset.act = "hold";
+            document.body.append(button);
+            button.addEventListener("pointerdown", (event) => live.holdBy(event));
+            const isHeld = [];
+            const send = (name, more) => {
+                const event = new PointerEvent(name, { bubbles: true, cancelable: true, ...more });
+                const isPrevented = !button.dispatchEvent(event);
+                isHeld.push(live.held !== null);
+                return isPrevented;
+            };
+            send("pointerdown", { button: 2, buttons: 2 });
+            send("pointerdown", { button: 0, buttons: 1, ctrlKey: true });
+            send("pointerdown", { button: 0, buttons: 1 });
+            send("pointermove", { buttons: 1 });
+            isHeld.push(send("contextmenu", {}));
+            send("pointerdown", { button: 0, buttons: 1 });
+            send("pointermove", { buttons: 0 });
+            live.hold(button, false);
+            send("pointermove", { buttons: 0 });
+            live.release();
+            button.remove();
+            return isHeld;
+        }"""
+    )
+    assert held == [False, False, True, True, False, True, True, False, True]
+
+
+def test_a_page_that_connects_again_is_the_same_page(open_page):
+    page = open_page()
+    page.wait_for_function("window.hpidLive.frames > 5")
+    page.evaluate("window.firstSocket = window.hpidLive.socket; window.hpidLive.start('again')")
+    assert page.evaluate("window.firstSocket === window.hpidLive.socket")
+
+
 def test_when_the_server_is_gone_the_page_says_so(context, server):
     page = context.new_page()
     page.goto(server.url)

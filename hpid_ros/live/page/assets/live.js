@@ -57,6 +57,9 @@ class LivePage {
   }
 
   start(page) {
+    if (this.page) {
+      return; // NiceGUI has connected again: this is the same page
+    }
     this.page = page;
     this.connect();
     setInterval(() => this.look(), 250);
@@ -68,9 +71,12 @@ class LivePage {
     document.addEventListener("keydown", (event) => this.onKey(event), true);
     document.addEventListener("visibilitychange", () => this.release());
     window.addEventListener("blur", () => this.release());
-    for (const name of ["pointerup", "pointercancel"]) {
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
       window.addEventListener(name, () => this.release(), true);
     }
+    // A menu takes the release away, and a pointer that comes back may have been let go elsewhere.
+    window.addEventListener("contextmenu", (event) => this.onMenu(event), true);
+    window.addEventListener("pointermove", (event) => this.onMove(event), true);
     document.addEventListener("keyup", (event) => this.onKeyUp(event), true);
   }
 
@@ -116,7 +122,26 @@ class LivePage {
     document.body.classList.remove("stopping");
   }
 
-  hold(button) {
+  holdBy(event) {
+    if (event.button === 0 && !event.ctrlKey) {
+      this.hold(event.currentTarget, true);
+    }
+  }
+
+  onMenu(event) {
+    if (event.target.closest?.("[data-act=hold]")) {
+      event.preventDefault();
+    }
+    this.release();
+  }
+
+  onMove(event) {
+    if (this.held?.isByPointer && !event.buttons) {
+      this.release();
+    }
+  }
+
+  hold(button, isByPointer) {
     if (this.held || button.disabled) {
       return;
     }
@@ -127,7 +152,7 @@ class LivePage {
       }
     };
     tell();
-    this.held = { button, timer: setInterval(tell, HELD_EVERY) };
+    this.held = { button, isByPointer, timer: setInterval(tell, HELD_EVERY) };
   }
 
   release() {
@@ -154,7 +179,7 @@ class LivePage {
     if (isHold) {
       event.preventDefault();
       if (!event.repeat) {
-        this.hold(document.activeElement);
+        this.hold(document.activeElement, false);
       }
       return;
     }
