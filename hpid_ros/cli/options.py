@@ -84,6 +84,13 @@ def warn_unlimited(experiment: Experiment) -> None:
     }
     world = experiment.world
     known = RobotDescription.load(world.robot_description).joints
+    idle = [j for j in world.joints if known[j].effort == 0.0]
+    if idle:
+        print(
+            f"hpid: warning: {', '.join(idle)}: the URDF's effort limit is 0, nothing drives it; "
+            "robot.joints.NAME.effort in the experiment says another",
+            file=sys.stderr,
+        )
     unlimited = [j for j in world.joints if math.isinf(known[j].effort) and j not in clamped]
     if unlimited:
         print(

@@ -354,18 +354,23 @@ def _experiment(document: Document, root: Section) -> Experiment:
 
 
 def _require_before_end(world: WorldSettings, plan: BrickPlan | None, duration: float) -> None:
-    """Refuse what would happen after the end."""
-    moments = [
-        *((f"payload[{k}].time", each.time) for k, each in enumerate(world.disturbances.payload)),
-        *(
-            (f"wrenches[{k}].from", each.start)
-            for k, each in enumerate(world.disturbances.wrenches)
-        ),
-    ]
-    for place, moment in moments:
-        if moment >= duration:
+    """Refuse what would happen after the last control period has begun, which is never."""
+    events = world.disturbances
+    grips = () if plan is not None else world.workplace.schedule
+    moments = {
+        **{f"disturbances.payload[{k}].time": each.time for k, each in enumerate(events.payload)},
+        **{
+            f"disturbances.wrenches[{k}].from": each.start
+            for k, each in enumerate(events.wrenches)
+        },
+        **{f"scene.grips[{k}].time": each.time for k, each in enumerate(grips)},
+    }
+    last_ns = round(duration * NANOSECONDS) - world.control_period_ns
+    for place, moment in moments.items():
+        if round(moment * NANOSECONDS) > last_ns:
             raise ExperimentError(
-                f"disturbances.{place} {moment:g} s is not before the end, {duration:g} s"
+                f"{place} {moment:g} s is not before the end: the last control period begins at "
+                f"{last_ns / NANOSECONDS:g} s"
             )
     if plan is not None and plan.duration > duration:
         raise ExperimentError(

@@ -114,6 +114,7 @@ class ForkServer:
         self._process = subprocess.Popen(
             [sys.executable, "-m", __name__, str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
+            start_new_session=True,  # Ctrl-C is for us
             # Threads do not survive a fork.
             env={**environment, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
         )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import select
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -22,10 +24,10 @@ from hpid_ros.experiment.in_process import (
     Progress,
     RunReport,
     bridge_name,
-    controllers_document,
+    controllers_text,
     recorded_topics,
     run_timing,
-    write_document,
+    write_reference,
     write_run_files,
 )
 from hpid_ros.experiment.processes import (
@@ -100,7 +102,8 @@ class GraphNodes:
         options, world = self._options, self._experiment.world
         settings = self._experiment.controllers[self._label]
         write_run_files(self._folder, self._experiment, settings)
-        group.start(REFERENCE, REFERENCE, parameters(reference_file=self._experiment.path))
+        reference = write_reference(self._folder, self._experiment)
+        group.start(REFERENCE, REFERENCE, parameters(reference_file=reference))
         recorder = []
         if options.is_recorded:
             kept = self._kept(settings)
@@ -134,9 +137,9 @@ class GraphNodes:
             replace(each, timing=replace(each.timing, state_clock="simulated"))
             for each in settings
         ]
-        write_document(
-            file, controllers_document(kept, str(self._experiment.world.robot_description))
-        )
+        # The robot's text within: a bag must not name a file of this folder, which may move.
+        robot = str(self._experiment.world.robot_description)
+        file.write_text(controllers_text(kept, robot), encoding="utf-8")
         return file
 
     @property
@@ -189,7 +192,8 @@ def require_node_names(joints: Iterable[str]) -> None:
 def parameters(**values: object) -> list[str]:
     arguments = []
     for name, value in values.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
+        # ROS reads it as YAML, to which a path may be a comment or a mapping.
+        text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
         arguments += ["-p", f"{name}:={text}"]
     return arguments
 
@@ -218,12 +222,13 @@ def run_on_graph(
         ) as group,
     ):
         run = _GraphRun(nodes, label, group, progress)
-        run.start()
-        start_within = _START_WITHIN + _START_EACH * len(group.nodes)
-        run.wait_for("started", nodes.bridge, start_within, "every node to find the others")
-        begun.append(time.monotonic())
-        run.wait_for("finished", nodes.bridge, None, "the last state")
-        begun.append(time.monotonic())
+        with _bag_closed(group, nodes if options.is_recorded else None):
+            run.start()
+            start_within = _START_WITHIN + _START_EACH * len(group.nodes)
+            run.wait_for("started", nodes.bridge, start_within, "every node to find the others")
+            begun.append(time.monotonic())
+            run.wait_for("finished", nodes.bridge, None, "the last state")
+            begun.append(time.monotonic())
         if options.is_recorded:
             run.wait_until_recorded(_RECORD_WITHIN)
             # First, so that the zero efforts with which the controllers leave are not in the bag.
@@ -241,6 +246,17 @@ def run_on_graph(
             for phase, (earlier, later) in zip(_PHASES, pairwise(begun), strict=True)
         }
         return RunReport(label, wall_time, states, processes, run.warnings, timing, spent)
+
+
+@contextmanager
+def _bag_closed(group: NodeGroup, nodes: GraphNodes | None) -> Iterator[None]:
+    """Give the recorder its time where something ends a run early."""
+    try:
+        yield
+    except BaseException:
+        if nodes is not None and nodes.recorder in group.nodes:
+            group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
+        raise
 
 
 class _GraphRun:

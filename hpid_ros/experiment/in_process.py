@@ -7,6 +7,7 @@ The same files serve the nodes on a real robot: ``ros2 run hpid_ros joint_contro
 from __future__ import annotations
 
 import itertools
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,8 +17,10 @@ from typing import Any, Protocol
 import yaml
 
 from hpid_ros.base.durations import NOTHING
+from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.processes import raise_if_interrupted
+from hpid_ros.base.yaml_files import parse_yaml
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment, nested
@@ -85,10 +88,21 @@ def write_run_files(
     return controllers, bridge
 
 
+def write_reference(folder: Path, experiment: Experiment) -> Path:
+    """Write what the publisher of the reference reads: the file may have changed meanwhile."""
+    file = folder / "reference.yaml"
+    values = parse_yaml(experiment.path, experiment.text, ExperimentError)
+    write_document(file, {**experiment.world_document(), "reference": values["reference"]})
+    return file
+
+
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
     """Write a YAML file; the text of a robot gets a file of its own beside it."""
     values = _with_robots_beside(document, path.resolve().parent)
-    path.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+    path.write_text(
+        yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=sys.maxsize),
+        encoding="utf-8",
+    )
 
 
 def _with_robots_beside(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:

@@ -226,6 +226,12 @@ class SearchSpace:
         free: tuple[FreeParameter, ...]
         if law == "pid":
             free = PID_PARAMETERS[: len(PID_PARAMETERS) - (len(start) == 1)]
+            for each in start:
+                if not each.gains.p:
+                    raise SettingError(
+                        f"{each.joint}: gains.p is 0, there is nothing to scale; hpid gains "
+                        f"computes some"
+                    )
             apply = partial(_scaled_gains, geometric_mean(each.gains.p for each in start))
             changed = ("gains.p", "gains.i", "gains.d")
         else:

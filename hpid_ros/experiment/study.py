@@ -518,8 +518,13 @@ def run_study(
     records = kept_records(plan, folder.path)
     tasks = {key: task for key, task in wanted.items() if key not in records}
     result = StudyResult(plan, records)
-    others = [each for each in read_journal(folder.path / JOURNAL) if each.key not in wanted]
-    _begin(result, folder, others)
+    journal = read_journal(folder.path / JOURNAL)
+
+    def others() -> list[JournalEntry]:
+        """Return what was there before, until it has been run again."""
+        return [each for each in journal if each.key not in records]
+
+    _begin(result, folder, others())
     try:
         with (
             folder.file(JOURNAL).open("a", encoding="utf-8") as lines,
@@ -532,7 +537,7 @@ def run_study(
                 lines.flush()
                 advanced(record)
     finally:
-        save(result, folder, others)
+        save(result, folder, others())
     return result
 
 

@@ -262,6 +262,8 @@ class _Curve:
     def _of(self, index: int, time_ns: int) -> _Values:
         if index >= len(self._pieces):
             return _Values(self._knots[-1].position, 0.0, 0.0)
+        if self.times[index + 1] - self.times[index] == 1:  # a step has no slope
+            return _Values(self._knots[index].position, 0.0, 0.0)
         t = (time_ns - self.times[index]) * SECONDS_PER_NANOSECOND
         c0, c1, c2, c3, c4, c5 = self._pieces[index]
         return _Values(

@@ -125,7 +125,7 @@ def read_joint(
         lower=_number(limit, "lower", -math.inf, where) if is_bounded else -math.inf,
         upper=_number(limit, "upper", math.inf, where) if is_bounded else math.inf,
         effort=_number(limit, "effort", math.inf, where),
-        velocity=_number(limit, "velocity", math.inf, where),
+        velocity=_number(limit, "velocity", math.inf, where) or math.inf,  # as many write it
         damping=_number(dynamics, "damping", 0.0, where),
         friction=_number(dynamics, "friction", 0.0, where),
         rotor_inertia=rotor_inertia,
@@ -398,13 +398,12 @@ class RobotLimits:
 
     @classmethod
     def of(cls, joint: JointDescription) -> RobotLimits:
-        """Return those of a joint. A velocity of 0 is none, as many URDFs write it."""
-        velocity = joint.velocity if joint.velocity > 0.0 else math.inf
+        """Return those of a joint."""
         return cls(
             joint.effort,
             joint.lower,
             joint.upper,
-            velocity,
+            joint.velocity,
             joint.damping,
             joint.friction,
             is_continuous=joint.type == "continuous",

@@ -583,7 +583,7 @@ class BulletPhysics:
         """Return the pose of a link's URDF frame."""
         client, body = self._client, self._scene.body
         if index != _ROOT:
-            state = client.getLinkState(body, index)
+            state = client.getLinkState(body, index, computeForwardKinematics=True)
             return Pose(state[4], state[5])
         # Of the root Bullet gives the principal frame at the centre of mass.
         centre = client.getBasePositionAndOrientation(body)

@@ -551,6 +551,7 @@ class MujocoPhysics:
 
     def _place(self) -> None:
         """Put everything where it is at time 0."""
+        _failures.clear()  # of another world
         settings, built = self._settings, self._built
         start = settings.start(self._description)
         if settings.payload_mass:

@@ -64,7 +64,9 @@ class HallSwitch(Record):
     position: float = quantity(
         "Middle of its two switching points", "rad", least=-FARTHEST, most=FARTHEST
     )
-    hysteresis: float = quantity("Distance between them", "rad", default=0.0, least=0.0)
+    hysteresis: float = quantity(
+        "Distance between them", "rad", default=0.0, least=0.0, most=FARTHEST
+    )
 
     def read(self, position: float, was_on: bool) -> bool:
         """Return whether the switch is on."""
@@ -87,7 +89,9 @@ class Homing(Record):
     position: float = quantity(
         "Where the Hall switch is", "rad", default=0.0, least=-FARTHEST, most=FARTHEST
     )
-    hysteresis: float = quantity("Of the Hall switch", "rad", default=0.0, least=0.0)
+    hysteresis: float = quantity(
+        "Of the Hall switch", "rad", default=0.0, least=0.0, most=FARTHEST
+    )
 
     @property
     def switch(self) -> HallSwitch:

@@ -1,11 +1,18 @@
 """Experiment files: what they give, and how bad ones are refused."""
 
 import math
+from pathlib import Path
 
 import pytest
+import yaml
 
-from hpid_ros.base.errors import ExperimentError
+from hpid_ros.base.errors import ExperimentError, TrajectoryError
+from hpid_ros.base.yaml_files import load_document
 from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.graph_run import parameters
+from hpid_ros.experiment.in_process import write_reference
+from hpid_ros.motion.references import planned_reference
+from hpid_ros.robot.description import RobotDescription
 
 
 def test_the_motions_are_of_eight_joints_nine_seconds_and_two_controllers(experiment_file):
@@ -42,6 +49,30 @@ def test_loops_know_the_robot_s_encoders_and_limits_unless_the_file_says_more(
     limits = {each.joint: (each.effort.u_clamp_min, each.effort.u_clamp_max) for each in loops}
     assert limits["arm_joint_1"] == (-30.0, 30.0)
     assert limits["arm_joint_2"] == (-45.0, 3.0)
+
+
+def test_the_reference_is_the_one_that_was_read_whatever_becomes_of_the_file(
+    experiment_file, tmp_path
+):
+    """Several controllers follow it, one after the other."""
+    path = experiment_file(duration=0.5)
+    experiment = load_experiment(path)
+    path.write_text("half a fi: [")
+    document = load_document(write_reference(tmp_path, experiment), TrajectoryError)
+    again, _ = planned_reference(
+        document.values, "reference", lambda name: RobotDescription.load(name)
+    )
+    assert again == experiment.trajectory
+
+
+@pytest.mark.parametrize(
+    "value", [Path("run #3: é/😀"), "lockstep", True, 0.5, 3, ["a", "b"], "null", "-"]
+)
+def test_what_a_node_is_given_arrives_as_it_is(value):
+    flag, text = parameters(name=value)
+    name, _, given = text.partition(":=")
+    assert (flag, name) == ("-p", "name")
+    assert yaml.safe_load(given) == (str(value) if isinstance(value, Path) else value)
 
 
 @pytest.mark.parametrize(

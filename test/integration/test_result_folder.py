@@ -6,12 +6,14 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from harness.studies import wait_until
 
 from hpid_ros.base.errors import ExperimentError, ResultExistsError
 from hpid_ros.base.files import write_file
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.main import main
+from hpid_ros.experiment.in_process import write_document
 from hpid_ros.experiment.result_folder import MARKER, Marker, ResultFolder
 
 
@@ -92,6 +94,19 @@ def ended_by(error, output, force):
 
     with pytest.raises(error):
         run()
+
+
+def test_paths_in_a_result_follow_it_whatever_its_folder_is_called(tmp_path):
+    output = tmp_path / f"é und {'lang ' * 20}" / "result"
+    output.parent.mkdir()
+    for is_new in (False, True):
+        with ResultFolder.create(output, force=is_new) as folder:
+            folder.write("result.json", "{}")
+            place = folder.nodes("PID")
+            write_document(place / "bridge.yaml", {"world_file": f"{place.resolve()}/world.yaml"})
+    (file,) = output.glob("nodes/PID/bridge.yaml")
+    named = yaml.safe_load(file.read_text(encoding="utf-8"))["world_file"]
+    assert named == f"{output.resolve()}/nodes/PID/world.yaml"
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ExperimentError])

@@ -168,6 +168,24 @@ def test_only_what_still_holds_is_kept(studied, study_runs):
     assert len(study_runs) == 8
 
 
+def test_runs_that_hold_no_more_stay_until_they_are_replaced(studied, study_runs, monkeypatch):
+    """Somebody forgot an option, and noticed at once."""
+    files, folder = studied
+    before = (folder / "runs.jsonl").read_text()
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(batch, "simulated", interrupted)
+        code = study(files, folder, "--resume", "--joint", "arm_joint_2")
+    assert code == INTERRUPTED
+    assert sorted((folder / "runs.jsonl").read_text().splitlines()) == sorted(before.splitlines())
+    study_runs.clear()
+    assert study(files, folder, "--resume") == DONE
+    assert study_runs == []
+
+
 VALUES = [None, [], {}, 1, "x", True, float("nan"), float("inf"), 10**400, [[1]], {"": [1]}]
 
 

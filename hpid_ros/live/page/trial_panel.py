@@ -52,9 +52,7 @@ class TrialPanel:
                 'data-act="hold" no-caps color="positive" '
                 'aria-label="hold to run, release to stop"'
             )
-            self._hold.on(
-                "pointerdown", js_handler="(event) => window.hpidLive.holdBy(event)"
-            )
+            self._hold.on("pointerdown", js_handler="(event) => window.hpidLive.holdBy(event)")
             self._cancel = button("Cancel", lambda: self._trials.cancel())
         self._said = ui.label().props('aria-live="polite"')
         self._result = ui.element("div").classes("result")

@@ -43,6 +43,15 @@ def instants(parts):
     return sorted(time for time in {*close, *range(0, end, end // 40 + 1), 2 * end} if time >= 0)
 
 
+def test_a_step_of_any_size_is_combined_with_smooth_motions():
+    smooth = minimum_jerk([0.0, 1.0], {"a": [0.0, 1.0]})
+    whole = combined([smooth, step([0.0, 0.5], {"b": [0.0, 2.5]})])
+    assert max(abs(each.velocities[1]) for each in whole.points) == 0.0
+    follower = whole.column("b").start(0, 0.0)
+    found = [follower.sample(500_000_000 + shift)[0] for shift in (-1, 0, 1)]
+    assert found == [0.0, 2.5, 2.5]
+
+
 @examples(2)
 @given(st.tuples(trajectories("a"), trajectories("b"), trajectories("c")))
 def test_every_reference_is_what_it_was_at_every_nanosecond(parts):

@@ -275,6 +275,17 @@ def test_a_link_is_where_and_turned_as_kinematics_say():
     assert turn == pytest.approx(np.asarray(wanted.rotation), abs=1e-6)
 
 
+def test_a_link_of_a_robot_that_moves_is_where_its_joints_are_now():
+    arm = Kinematics(RobotDescription.load(URDF), "payload")
+    with World(settings(fixed_base=True)) as world:
+        for _ in range(50):
+            world.step([0.5] * len(world.settings.joints))
+        known = dict(zip(world.settings.joints, world.true_positions(), strict=True))
+        found = world.link_pose("payload")
+    wanted = arm.pose([known.get(joint, 0.0) for joint in arm.joints])
+    assert found.position == pytest.approx(wanted.position, abs=1e-6)
+
+
 def test_a_robot_is_set_down_on_the_ground_wherever_its_root_is():
     ball = """<robot name="ball">
       <link name="post"><inertial><mass value="1"/>
