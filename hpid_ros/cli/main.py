@@ -11,6 +11,7 @@ from importlib import import_module
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.base.processes import heed_interrupts, optional_libraries
+from hpid_ros.base.text import shown
 from hpid_ros.cli import arguments, robot_arguments
 from hpid_ros.cli.arguments import COMMANDS, Parser
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED, UNREAD
@@ -65,6 +66,10 @@ def _run(options: argparse.Namespace) -> int:
     except BrokenPipeError:  # the reader of the output has read enough, as head does
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return UNREAD
+    except OSError as error:  # of a path or a disk, whoever looked at it
+        where = f"{error.filename}: " if error.filename else ""
+        print(shown(f"hpid: {where}{error.strerror or error}"), file=sys.stderr)
+        return BAD_INPUT
 
 
 class _Umbrella(argparse.ArgumentParser):

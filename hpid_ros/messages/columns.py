@@ -149,12 +149,13 @@ def float64_multi_array_layout(raw: bytes) -> Layout:
 def controller_state_layout(raw: bytes) -> Layout:
     """Learn the layout of a ``control_msgs/JointTrajectoryControllerState``.
 
-    Fields: ``reference``, the positions of reference (or desired, before control_msgs 5), and
-    ``effort``, the efforts of output, which the older form has not. The two forms have nothing
-    that tells them apart but their length.
+    Fields: ``reference``, the positions of reference (or desired, before control_msgs 4), and
+    ``effort``, the efforts of output, which the oldest form has not. That of Humble has desired
+    and actual as well, and in its old topic those alone. Nothing tells the forms apart but their
+    length.
     """
     failure: MessageError | None = None
-    for points, has_speed in ((4, True), (4, False), (3, False)):
+    for points, has_speed in ((4, True), (4, False), (6, False), (3, False)):
         try:
             return _controller_state(raw, points, has_speed)
         except MessageError as error:
@@ -169,8 +170,9 @@ def _controller_state(raw: bytes, points: int, has_speed: bool) -> Layout:
     for _ in range(points):  # trajectory_msgs/JointTrajectoryPoint
         arrays.append([walker.array() for _ in range(4)])
         walker.time()
-    fields = {"reference": arrays[0][0]}
-    if points == 4:
+    is_old_topic = points == 6 and arrays[0][0].length != len(names)
+    fields = {"reference": arrays[4 if is_old_topic else 0][0]}
+    if points >= 4:
         fields["effort"] = arrays[3][3]
     if not (points == 3 and walker.is_at_end()):  # Foxy ends here
         walker.strings()

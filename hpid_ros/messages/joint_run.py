@@ -285,6 +285,11 @@ def _fill(target: Numbers, span: _Span, stamps_ns: Integers) -> None:
         target[begin:end] = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
 
 
+def _overlap(one: Integers, other: Integers) -> bool:
+    """Return whether two ranges of times have something in common."""
+    return bool(one.min() <= other.max() and other.min() <= one.max())
+
+
 _FOREVER_NS = 2**63 - 1
 _EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
 
@@ -386,6 +391,8 @@ class JointRun:
                 continue
             if choice.is_measured:
                 return self._measured(samples), self._clock, f"{MEASURED}, of {topic}"
+            if self._is_unstamped(samples):
+                return self._unstamped(samples), "receive", topic
             samples, not_finite = self._finite_efforts(samples)
             return ordered(self._times(samples), samples.values, not_finite), self._clock, topic
         return _EMPTY, self._clock, ""
@@ -408,6 +415,20 @@ class JointRun:
         if choice.in_doubt:
             return f"{NO_EFFORT} as such ({', '.join(choice.in_doubt)} may carry them)"
         return NO_EFFORT
+
+    def _is_unstamped(self, samples: JointSamples) -> bool:
+        """Tell whether messages that should have stamps have none."""
+        is_stamped = self._clock == "header" and len(samples.values) > 1
+        return is_stamped and not samples.stamps_ns.any()
+
+    def _is_on_another_clock(self, samples: JointSamples) -> bool:
+        """Tell whether messages were received beside the states, and stamped at another time."""
+        mine = self._samples
+        return (
+            self._clock == "header"
+            and not _overlap(samples.stamps_ns, mine.stamps_ns)
+            and _overlap(samples.log_times_ns, mine.log_times_ns)
+        )
 
     def _unstamped(self, samples: JointSamples) -> Ordered:
         samples, not_finite = self._finite_efforts(samples)
@@ -462,10 +483,16 @@ class JointRun:
                 continue
             samples, not_finite = finite(samples)
             if len(samples.values):
-                known = ordered(self._times(samples), samples.values, not_finite)
+                is_sampled = topic in self._recording.choice.references.sampled
+                kind = f"{'sampled' if is_sampled else 'controller_state'} {topic}"
+                times = self._times(samples)
+                if self._is_unstamped(samples) or self._is_on_another_clock(samples):
+                    mine = self._samples
+                    times = carried(samples.log_times_ns, mine.log_times_ns, mine.stamps_ns)
+                    kind += ", by the times at which it was received"
+                known = ordered(times, samples.values, not_finite)
                 values = interpolate(states.stamps_ns, known.stamps_ns, known.values)
-                kind = "sampled" if topic in self._recording.choice.references.sampled else ""
-                kind = f"{kind or 'controller_state'} {topic}"
+                values[states.stamps_ns < known.stamps_ns[0]] = states.values[0]
                 begin_ns = max(int(known.stamps_ns[0]), int(states.stamps_ns[0]))
                 return values, kind, len(samples.values), begin_ns
         return np.empty(0), NONE, 0, None

@@ -185,7 +185,7 @@ _COMMANDS_OF_A_JOINT = ("command", "commands")
 """Positions, velocities or efforts: only who ran the controllers knows."""
 _COMMANDS_OF_JOINTS = ("joint_commands", "joint_command")
 """The second is Isaac Sim's."""
-_NEITHER_STATES_NOR_COMMANDS = ("reference", "terms")
+_NEITHER_STATES_NOR_COMMANDS = ("reference", "terms", "estimate")
 
 
 class ReferenceTopics(NamedTuple):
@@ -329,6 +329,8 @@ class _Chooser:
         candidates = self.of_type(JOINT_STATE)
         here = f"{self.near}/joint_commands"
         found = [here] if here in candidates else matching("joint_commands", candidates)
+        if asked is None and len(matching("joint_states", candidates)) > 1:  # several robots
+            found = [each for each in found if self.is_near(each)]
         if found and asked is None and len(states) > 1:  # as its states, so its commands
             return tuple(name for name in found if is_below(name, self.near)), {}
         if found and asked is None:
@@ -352,8 +354,16 @@ class _Chooser:
         reports = tuple(self.below(CONTROLLER_STATE))
         if floats or reports or has_explicit:
             return reports, floats
-        found = [name for name in candidates if name not in states and _may_be_commands(name)]
+        found = [
+            name
+            for name in candidates
+            if name not in states and self.is_near(name) and _may_be_commands(name)
+        ]
         return (self.one("the commands", found, "--commands"),) if found else (), {}
+
+    def is_near(self, topic: str) -> bool:
+        """Return whether a topic is below the states' namespace, or in one above it."""
+        return is_below(topic, self.near) or is_below(f"{self.near}/", namespace_of(topic))
 
     def in_doubt(self, taken: Collection[str]) -> tuple[str, ...]:
         """Return topics without names of joints that may carry efforts, or something else."""

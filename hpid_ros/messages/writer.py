@@ -106,7 +106,7 @@ class BagWriter:
         return {topic.name: counts[topic.connection.id] for topic in self._topics}
 
     def add_topic(
-        self, name: str, type: str, qos: TopicQos | None = None, definition: str = ""
+        self, name: str, type: str, qos: TopicQos | None = None, definition: str | None = None
     ) -> BagTopic:
         """Add a topic.
 
@@ -115,14 +115,14 @@ class BagWriter:
             type: A type of ROS 2 Jazzy, for instance ``"sensor_msgs/msg/JointState"``.
             qos: What its publisher offers; reliable and volatile if not given.
             definition: The type's definition as another bag holds it, for types that Jazzy
-                lacks.
+                lacks; empty where that has none.
 
         Raises:
             BagError: If the type is unknown, the topic is there already or the bag is closed.
         """
         self._check_open()
         types = jazzy_types()
-        if type not in types.types and not definition:
+        if type not in types.types and definition is None:
             raise BagError(f"bag {self.path}: {unknown_name('message type', type, types.types)}")
         if any(topic.name == name for topic in self._topics):
             raise BagError(f"bag {self.path}: topic {name!r} was added before")
@@ -131,7 +131,7 @@ class BagWriter:
             type,
             typestore=types,
             # The hash of a foreign type is not known here; readers do not need it.
-            **({} if type in types.types else {"msgdef": definition, "rihs01": "unknown"}),
+            **({} if type in types.types else {"msgdef": definition or "", "rihs01": "unknown"}),
             offered_qos_profiles=[_rosbags_qos(TopicQos() if qos is None else qos)],
         )
         self._topics.append(topic := BagTopic(name, type, connection))
@@ -223,11 +223,12 @@ class BagWriter:
             return
         try:
             self._writer.close()
-        except OSError as error:
-            with suppress(OSError):
+        except (OSError, ValueError) as error:  # of a file that a failure has closed
+            with suppress(OSError, ValueError):
                 if (mcap := self._writer.mcap) is not None:
                     mcap.abort()
-            raise BagError(f"cannot finish bag {self.path}: {error.strerror or error}") from error
+            reason = getattr(error, "strerror", None) or error
+            raise BagError(f"cannot finish bag {self.path}: {reason}") from error
 
     def _fail(self, error: OSError) -> BagError:
         self._failure = f"cannot be written: {error.strerror or error}"
@@ -294,6 +295,7 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
     """
     saved: dict[str, int] = {}
     span_ns: tuple[int, int] | None = None
+    impossible = 0
     with Storage(source) as storage:
         topics = storage.topics()
         if not topics:
@@ -306,12 +308,18 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
                 handles[name] = writer.add_topic(name, info.type, qos, info.definition)
             batches = storage.batches(frozenset(topics), progress or no_progress)
             for message in _in_order(batches):
+                if message.log_time_ns < 0:
+                    impossible += 1
+                    continue
                 writer.write(handles[message.topic], message.log_time_ns, message.raw)
                 time_ns = message.log_time_ns
                 first, last = span_ns or (time_ns, time_ns)
                 span_ns = min(first, time_ns), max(last, time_ns)
         saved = writer.counts
-        return Repair(target, saved, span_ns, tuple(storage.unreadable))
+        lost = list(storage.unreadable)
+        if impossible:
+            lost.append(f"{impossible} messages with a negative time")
+        return Repair(target, saved, span_ns, tuple(lost))
 
 
 def _in_order(batches: Iterable[TopicBatch]) -> Iterator[_Message]:

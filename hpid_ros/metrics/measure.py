@@ -318,12 +318,14 @@ def _label_in_metadata(path: Path) -> str | None:
 
 
 def _distinct_names(paths: Sequence[Path]) -> list[str]:
-    parts = [path.absolute().with_suffix("").parts for path in paths]
+    whole = [path.absolute() for path in paths]
+    # A file has a suffix; a folder may be called mu_-0.1.
+    parts = [(each if each.is_dir() else each.with_suffix("")).parts for each in whole]
     for depth in range(1, max((len(part) for part in parts), default=0) + 1):
         names = ["/".join(part[-depth:]) for part in parts]
-        if len(set(names)) == len(set(parts)):
+        if len(set(names)) == len(set(whole)):
             return names
-    return [part[-1] for part in parts]
+    return [str(each) for each in whole]
 
 
 class SlidingJoints(NamedTuple):

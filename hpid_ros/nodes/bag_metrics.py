@@ -149,7 +149,7 @@ class BagMetrics(executor.ClosingNode):
         for bag in self._bags.new():
             try:
                 self._report([measure(bag, self._label(bag), self._how)], self._baseline)
-            except HpidError as error:
+            except (HpidError, OSError) as error:
                 self.get_logger().error(str(error))
 
     def _label(self, bag: Path) -> str:

@@ -216,6 +216,7 @@ class _Replay:
         self._senders = tuple(dict.fromkeys(each.sender for each in record.commands))
         self._sender = self._senders[0] if self._senders else ""
         stamps = {each.stamp_ns for each in record.states}
+        self._to_come = Counter(each.stamp_ns for each in record.states)
         self._answers: dict[int, list[RecordedCommand]] = {}
         self._unsolicited: dict[int, list[RecordedCommand]] = {}
         self._is_begun_before = False
@@ -274,7 +275,10 @@ class _Replay:
         else:
             self._passed_over = 0
             self._compare(index, state, own)
-        self._after(state, commands or [])
+        self._to_come[state.stamp_ns] -= 1
+        # A state that comes once more gets an answer of its own.
+        is_last = not self._to_come[state.stamp_ns]
+        self._after(state, (commands or []) if is_last else [])
         self._log_time_ns = state.log_time_ns
 
     def _pass_over(self, index: int, state: RecordedState) -> None:

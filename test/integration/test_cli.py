@@ -5,6 +5,7 @@ import math
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from harness.engines import needs_bullet
@@ -150,6 +151,15 @@ def test_a_bad_experiment_is_one_line_and_leaves_no_folder(
 )
 def test_what_cannot_be_read_or_written_is_one_line(command, words, capsys):
     assert words in refused(command, capsys)
+
+
+def test_what_the_system_refuses_is_one_line(monkeypatch, tmp_path, capsys):
+    def denied(*_):
+        raise PermissionError(13, "Permission denied", "/bags/x")
+
+    monkeypatch.setattr(Path, "exists", denied)
+    assert main(["metrics", str(tmp_path / "x")]) == BAD_INPUT
+    assert capsys.readouterr().err == "hpid: /bags/x: Permission denied\n"
 
 
 def test_usage_errors_end_with_two():

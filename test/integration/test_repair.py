@@ -145,6 +145,16 @@ def test_a_type_that_jazzy_lacks_keeps_its_definition(tmp_path):
         assert bag.topics["/own"].msgtype == "my_msgs/msg/Own"
 
 
+def test_a_type_without_any_definition_spoils_nothing(tmp_path):
+    """As of /tf in a bag of Foxy, whose files have no definitions."""
+    with BagWriter(tmp_path / "bag") as bag:
+        topic = bag.add_topic("/own", "my_msgs/msg/Own", definition="")
+        bag.write(topic, 5, b"\x00\x01\x00\x00" + bytes(8))
+        bag.write(bag.add_topic("/joint_states", JOINT_STATE), 6, STATE.encode(6, position=[0.0]))
+    repair = repair_bag(tmp_path / "bag", tmp_path / "repaired")
+    assert repair.saved == {"/own": 1, "/joint_states": 1}
+
+
 def test_kill_minus_nine_costs_nothing_that_was_acknowledged(harness, tmp_path, faults):
     """The recorder's parent hears a count only when the file holds as many."""
     publish = harness.states

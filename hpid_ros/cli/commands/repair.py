@@ -15,7 +15,9 @@ from hpid_ros.messages.writer import repair_bag
 def run(options: argparse.Namespace) -> int:
     """Repair a bag and say what came of it."""
     bag: Path = options.bag
-    target = options.output or bag.resolve().with_name(f"{bag.resolve().stem}_repaired")
+    found = bag.resolve()
+    name = found.name if found.is_dir() else found.stem
+    target = options.output or found.with_name(f"{name}_repaired")
     with reading() as tell:
         repair = repair_bag(bag, target, partial(tell, bag.name))
     for name, count in sorted(repair.saved.items()):

@@ -260,6 +260,54 @@ def test_of_two_robots_one_is_chosen_by_its_namespace_or_both_are_named(tmp_path
     refused(path, "no topic is below namespace /middle", namespace="middle")
 
 
+def test_the_commands_of_another_robot_are_not_taken(tmp_path):
+    types = {f"{name}/joint_states": JOINT_STATE for name in ("/left", "/right")}
+    types["/right/joint_commands"] = JOINT_STATE
+    log = commands(topic="/right/joint_commands")
+    log += [each for name in ("/left", "/right") for each in states(topic=f"{name}/joint_states")]
+    path = write(tmp_path / "bag", types, in_order(log))
+    assert len(read(path, states="right/joint_states").joints[0].effort) == 5
+    assert len(read(path, states="left/joint_states").joints[0].effort) == 0
+
+
+def test_an_observers_estimate_is_no_command(tmp_path):
+    types = {"/joint_states": JOINT_STATE, "/a_controller/estimate": JOINT_STATE}
+    path = write(
+        tmp_path / "bag", types, in_order([*states(), *commands(topic="/a_controller/estimate")])
+    )
+    assert len(read(path).joints[0].effort) == 0
+
+
+def test_commands_without_stamps_are_placed_by_when_they_were_received(tmp_path):
+    """Not taken for one command that is repeated."""
+    log = states() + [
+        ("/joint_commands", k * S + 2 * LATENCY, command(0, a=10.0 * k)[2]) for k in range(1, 6)
+    ]
+    path = write(tmp_path / "bag", TWO, in_order(log))
+    run = read(path)
+    assert run.joints[0].effort.tolist() == [10.0, 20.0, 30.0, 40.0, 50.0]
+    assert run.quality.joints["a"].command_clock == "receive"
+
+
+@pytest.mark.parametrize("offset", [-S, 0, 10**18])
+def test_a_sampled_reference_of_another_clock_is_placed_by_when_it_was_received(tmp_path, offset):
+    """Without stamps, or with those of the wall beside a simulation's."""
+    types = {"/joint_states": JOINT_STATE, "/a_controller/reference": JOINT_STATE}
+    log = states() + [
+        (
+            "/a_controller/reference",
+            k * S + 2 * LATENCY,
+            state(0 if offset < 0 else offset + k * S, a=float(k))[2],
+        )
+        for k in range(2, 6)
+    ]
+    run = read(write(tmp_path / "bag", types, in_order(log)))
+    second = 1.0 if offset else 2.0  # before it is received the first position holds
+    assert run.joints[0].reference == pytest.approx([1.0, second, 3.0, 4.0, 5.0], abs=1e-5)
+    is_odd = "received" in run.quality.joints["a"].reference
+    assert is_odd is (offset != 0)
+
+
 @pytest.mark.parametrize("commands", ["/joint_commands", "/arm/joint_commands"])
 def test_joints_whose_states_are_on_two_topics_make_one_run(tmp_path, commands):
     """The arm's states and the gripper's have their own stamps, and so have their commands."""

@@ -44,6 +44,8 @@ POINT, MULTI = "JointTrajectoryPoint", "MultiDOFJointTrajectoryPoint"
 FORMS = {
     "foxy": ("desired", "actual", "error"),
     "galactic": ("desired", "actual", "error"),
+    "humble": ("reference", "feedback", "error", "output", "desired", "actual"),
+    "humble, old topic": ("reference", "feedback", "error", "output", "desired", "actual"),
     "iron": ("reference", "feedback", "error", "output"),
     "jazzy": ("reference", "feedback", "error", "output"),
 }
@@ -72,6 +74,11 @@ def controller_state(store, form: str, stamp_ns: int, references, efforts) -> by
     points += [point(np.ones(2), none, none, none, duration)] * 2
     points += [point(none, none, none, np.array(efforts, float), duration)]
     names = FORMS[form]
+    if form.startswith("humble"):
+        empty = point(none, none, none, none, duration)
+        points += [empty, empty]
+        if "old" in form:
+            points = [empty] * 4 + [points[0], points[1]]
     fields = [types["std_msgs/msg/Header"](stamp, "x"), ["a", "b"], *points[: len(names)]]
     if form != "foxy":
         fields += [[], *[multi([], [], [], duration)] * len(names)]
@@ -92,7 +99,7 @@ def test_states_of_a_trajectory_controller_give_reference_and_effort(tmp_path, f
     a, b = run.joints
     assert a.reference.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert b.reference.tolist() == [-1.0, -2.0, -3.0, -4.0, -5.0]
-    has_effort = "output" in FORMS[form]
+    has_effort = "output" in FORMS[form] and "old" not in form
     assert a.effort.tolist() == ([7.0, 14.0, 21.0, 35.0] if has_effort else [])
     quality = run.quality.joints["a"]
     assert quality.reference == f"controller_state {topic}"

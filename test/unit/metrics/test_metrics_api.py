@@ -46,6 +46,14 @@ def test_what_was_measured_and_what_is_yet_to_be_compare_alike(bags):
         compare(bags, baseline="pid")
 
 
+def test_a_number_at_the_end_of_a_folders_name_is_part_of_it(tmp_path):
+    """Two unlike bags of one name would be folded as repeats of one run."""
+    bags = [write_bag(tmp_path / f"kp_0.{k}", small_log(1.0 + k)) for k in (1, 2)]
+    assert [each.run.label for each in measure_all(bags)] == ["kp_0.1", "kp_0.2"]
+    file = next(bags[0].glob("*.mcap"))
+    assert [each.run.label for each in measure_all([file])] == [file.stem]
+
+
 def test_recordings_of_unlike_length_are_cut_unless_a_window_was_asked_for(bags, tmp_path):
     longer = write_bag(tmp_path / "longer", small_log(2.0, count=300))
     whole, cut = measure(longer), measure_all([bags[0], longer])[1]

@@ -243,6 +243,17 @@ def test_states_that_waited_for_a_stopped_controller_have_the_effort_in_force():
     assert not recorder.replay().is_the_law
 
 
+def test_a_state_that_was_repeated_has_an_answer_of_its_own():
+    recorder = recorded(20)
+    recorder.states.append(recorder.states[-1]._replace(place=recorder.place + 500))
+    recorder.place += 1000
+    recorder.command(recorder.stamp_ns, recorder.loop.effort)
+    for _ in range(20):
+        recorder.state()
+    verdict = recorder.replay()
+    assert (verdict.equal, verdict.different, verdict.zeros) == (41, 0, 0)
+
+
 def with_relay(apart=0, is_told=True):
     """Return a recording in which a relay drives the joint for a while."""
     recorder = Recorder(3)
