@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from hpid_ros.base.errors import HpidError
@@ -43,9 +44,14 @@ def node_sections(document: object) -> dict[str, Mapping[str, Any]]:
 
 def is_for(section: str, node: str) -> bool:
     """Return whether a section of a parameter file is for a node, by rcl's rules."""
+    return section == node or ("*" in section and _pattern(section).fullmatch(node) is not None)
+
+
+@lru_cache(maxsize=4096)
+def _pattern(section: str) -> re.Pattern[str]:
     parts = {"**": r"(/\w+)*", "*": r"/\w+"}
-    pattern = "".join(parts.get(part, f"/{re.escape(part)}") for part in section.split("/")[1:])
-    return re.fullmatch(pattern, node) is not None
+    text = "".join(parts.get(part, f"/{re.escape(part)}") for part in section.split("/")[1:])
+    return re.compile(text)
 
 
 ALLOW_RELAY = "allow_relay"

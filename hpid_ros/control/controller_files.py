@@ -13,6 +13,9 @@ INERTIA_RANGES = "inertia_ranges"
 """Section of a parameter file with the least and the largest inertia of joints."""
 
 
+_MOST_SECTIONS = 1000  # each is held against each
+
+
 class ParameterFile(NamedTuple):
     """What a ROS parameter file says of joint controllers."""
 
@@ -36,6 +39,8 @@ def settings_from_parameters(document: object, where: str) -> dict[str, LoopSett
         if not node_sections({name: node}):
             raise SettingError(f"{where}: {name} has no mapping ros__parameters")
     sections = {name: _flat(own) for name, own in node_sections(document).items()}
+    if len(sections) > _MOST_SECTIONS:
+        raise SettingError(f"{where} has {len(sections)} sections; {_MOST_SECTIONS} are allowed")
     nodes = _named_nodes(sections)
     for section, own in sections.items():
         of_loops = sorted(PARAMETERS.keys() & own.keys())

@@ -206,8 +206,21 @@ def group_settings(
     for each in plan.joints:
         name = f"constraints.{each.bounds.joint}"
         values[f"{name}.trajectory"] = each.tolerance
-        values[f"{name}.max_deceleration_on_cancel"] = each.peaks.acceleration
+        values[f"{name}.max_deceleration_on_cancel"] = _deceleration(each)
     return GroupSettings.from_parameters(plan.names, facts, values)
+
+
+def _deceleration(joint: PlannedJoint) -> float:
+    """Return at how much a joint stops, in [rad/s^2] (or m).
+
+    As its motion needs it, and for a slow motion more, within half of what its load leaves.
+    """
+    bounds = joint.bounds
+    spare = min(bounds.efforts[1] - bounds.load, bounds.load - bounds.efforts[0])
+    quick = joint.peaks.velocity / _STOPS_IN
+    if math.isfinite(spare):
+        quick = min(quick, 0.5 * spare / bounds.inertia)
+    return max(joint.peaks.acceleration, quick)
 
 
 def goal_of(plan: ExcitationPlan, standing: Sequence[float]) -> GoalRequest:
@@ -218,6 +231,7 @@ def goal_of(plan: ExcitationPlan, standing: Sequence[float]) -> GoalRequest:
     return GoalRequest(plan.names, 0, times_ns, arrays)
 
 
+_STOPS_IN = 0.5  # [s] from the largest velocity
 _PRESSED_WITHIN = 60.0  # [s] from when it is ready
 _MOVED = 0.05  # [rad] from where a joint was when its excitation was planned
 _AT_REST = 0.02  # [rad/s]

@@ -364,7 +364,7 @@ class GraphClient:
             self._parameters.pop(name, None)
         if name in self._lifecycles:
             self._node.destroy_subscription(self._lifecycles.pop(name))
-        self._change(name, is_here=False, lifecycle="")
+        self._change(name, is_here=False)  # its last lifecycle stays: it may still drive a joint
 
     def _read(self, name: str) -> None:
         self._asked[name] = self._asked.get(name, 0) + 1

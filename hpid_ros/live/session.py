@@ -235,7 +235,9 @@ class Tuning:
         for node, values in self.in_force.items():
             full_or_own = node, node.rpartition("/")[2]
             own = [each for name, each in loops.items() if name in full_or_own]
-            own = own or [each for each in loops.values() if each.joint == values["joint"]]
+            # By its joint, unless a section names a node in another namespace.
+            anywhere = [each for name, each in loops.items() if "/" not in name.lstrip("/")]
+            own = own or [each for each in anywhere if each.joint == values["joint"]]
             if own:
                 wanted = {**own[0].to_parameters(), "joint": values["joint"]}
                 self.staged[node] = differences(values, wanted)
@@ -251,6 +253,9 @@ def _checked(name: str, value: object) -> Value:
     if isinstance(value, int) and isinstance(spec.default, float) and not isinstance(value, bool):
         value = float(value)
     return spec.checked(value)
+
+
+_AT_REST = ("inactive", "unconfigured", "finalized")  # lifecycle of what drives nothing
 
 
 class Limit:
@@ -555,9 +560,15 @@ class LiveSession:
 
     async def stop(self) -> bool:
         """Deactivate every controller that is shown: each joint is left as its ``stop`` says."""
-        nodes = [node for node, each in self.controllers.items() if each.is_here]
+        seen = self.controllers
+        nodes = [node for node, each in seen.items() if each.is_here]
         self.say(f"STOP: {len(nodes)} controllers are deactivated", is_bad=True)
-        return await self.transit(nodes, "deactivate")
+        gone = {node: each for node, each in seen.items() if not each.is_here}
+        lost = [node for node, each in gone.items() if each.lifecycle not in _AT_REST]
+        for node in lost:
+            text = "NOT stopped: out of reach, or its process has ended"
+            self.say(f"{self.label(node)}: {text}", is_bad=True)
+        return await self.transit(nodes, "deactivate") and not lost
 
     async def transit(self, nodes: Iterable[str], transition: str) -> bool:
         """Have controllers go through a transition."""

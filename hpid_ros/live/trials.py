@@ -314,7 +314,11 @@ class Trials:
             self._is_kept = is_kept
             is_done = await self._carry_out(nodes, wish, variants, tried, found)
             if found:
-                await self._show(variants, found)
+                tried_with = [
+                    each if each.values is None else replace(each, values=tried.wanted(each))
+                    for each in variants
+                ]
+                await self._show(tried_with, found)
             if is_done and self._end:  # while its result was made
                 self._say(self._end, is_bad=True)
             has_set = any(each.values is not None for each in variants)
@@ -384,7 +388,16 @@ class Trials:
             self._explain(ending, label)
         self._stage = Stage.MEASURING
         self._say(f"{label}: measuring, let go")
-        return await asyncio.to_thread(measure_motion, bag, variant.label, planned)
+        measuring = asyncio.ensure_future(
+            asyncio.to_thread(measure_motion, bag, variant.label, planned)
+        )
+        while not measuring.done():
+            await asyncio.wait([measuring], timeout=_LOOK_PERIOD)
+            self._note_presence()
+            if self._end:  # what was set is given back first
+                measuring.add_done_callback(lambda each: each.cancelled() or each.exception())
+                raise RunError(self._end)
+        return measuring.result()
 
     async def _ending(
         self, motion: HeldMotion, nodes: Sequence[str], label: str, duration: float
@@ -393,7 +406,8 @@ class Trials:
         self._motion, self._stage, self._is_released = motion, Stage.PREPARING, False
         self._say(f"{label}: preparing")
         while motion.stage != "ended":
-            if self._end or self._is_left():
+            self._note_presence()
+            if self._end:
                 self.cancel()
             elif inactive := self._inactive(nodes):
                 self.cancel(inactive)
@@ -422,7 +436,8 @@ class Trials:
         self._say(f"{label}: stopped: {self._why(ending)}; hold it once more", is_bad=True)
 
     def _require_wanted(self) -> None:
-        """Go on only where nobody has ended the trial."""
+        """Go on only where nobody has ended the trial, and its page has control."""
+        self._note_presence()
         if self._end:
             raise RunError(self._end)
 
@@ -434,12 +449,13 @@ class Trials:
                 return f"{self._session.label(node)} is {seen[node].lifecycle}: activate it first"
         return ""
 
-    def _is_left(self) -> bool:
-        """Tell whether another page has control, or the trial's own has been gone for a while."""
+    def _note_presence(self) -> None:
+        """Cancel where another page has control, or the trial's own has been gone for a while."""
         control_lock, now = self._session.control_lock, time.monotonic()
         if control_lock.holder == self._page:
             self._here_at = now
-        return control_lock.holder not in (None, self._page) or now - self._here_at > _GONE_FOR
+        if control_lock.holder not in (None, self._page) or now - self._here_at > _GONE_FOR:
+            self.cancel()
 
     async def _set(self, number: int, variant: Variant, tried: Tried) -> None:
         """Have controllers take what is next; who wants a certificate may compute it first."""

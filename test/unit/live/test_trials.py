@@ -1,6 +1,7 @@
 """Test motions of the live page: once more, or to an end, whatever a person or a page does."""
 
 import asyncio
+import time
 from dataclasses import replace
 
 import pytest
@@ -149,6 +150,56 @@ def test_a_trial_that_is_cancelled_while_its_last_motion_is_measured_sets_back(p
 def take_control(bench):
     bench.session.control_lock.join("another")
     bench.session.control_lock.take("another")
+
+
+@pytest.mark.parametrize("motion", [1, 2])
+def test_a_page_that_loses_control_while_a_motion_is_measured_has_nothing_more_set(
+    motion, monkeypatch
+):
+    bench = Bench("")
+    before = bench.graph.joints[NODE].settings.gains.p
+
+    def measured(*_):
+        if len(bench.motions) == motion:
+            take_control(bench)
+            time.sleep(0.5)  # it cannot be cancelled: what was set is given back beside it
+
+    monkeypatch.setattr(module, "measure_motion", measured)
+    monkeypatch.setattr(module.TrialResult, "of", lambda *_: "what was found")
+
+    async def hold(bench):
+        for number in range(1, motion + 1):
+            await bench.reach(Stage.READY, number)
+            bench.trials.release(PAGE)
+            bench.trials.press(PAGE)
+            await bench.reach(Stage.MOVING, number)
+            bench.trials.press(PAGE)
+
+    assert bench.run(hold, (IN_FORCE, CHOSEN)) == "cancelled"
+    assert len(bench.motions) == motion
+    assert bench.graph.joints[NODE].settings.gains.p == before
+
+
+def test_what_is_kept_of_a_trial_is_what_was_tried_alone(monkeypatch):
+    """A snapshot is of all joints, and has what nobody wanted to try."""
+    bench = Bench("")
+    everything = {
+        node: each.settings.to_parameters() | {"gains.p": 99.0}
+        for node, each in bench.graph.joints.items()
+    }
+    shown = []
+    monkeypatch.setattr(module, "measure_motion", lambda *_: None)
+    monkeypatch.setattr(module.TrialResult, "of", lambda variants, _: shown.extend(variants))
+
+    async def hold(bench):
+        await bench.reach(Stage.READY)
+        bench.trials.press(PAGE)
+        await bench.reach(Stage.MOVING)
+        bench.trials.press(PAGE)
+
+    bench.run(hold, (Variant("a", everything),))
+    (variant,) = shown
+    assert set(variant.values) == {NODE}
 
 
 @pytest.mark.parametrize(

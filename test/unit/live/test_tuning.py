@@ -118,6 +118,12 @@ def test_a_file_is_staged_for_the_controllers_that_it_names_or_whose_joints_it_h
         tuning.stage_loops({"nobody": loop_settings("nobody")})
 
 
+def test_a_file_of_another_namespace_is_for_nobody_here(tuning):
+    loops = {"/right/arm_joint_1_controller": loop_settings("arm_joint_1", 0.4, mu=0.1)}
+    with pytest.raises(SettingError, match="no controller of this file is here"):
+        tuning.stage_loops(loops)
+
+
 def test_sliders_reach_a_decade_to_either_side():
     assert slider_range("gains.p", 40.0) == pytest.approx((4.0, 400.0, True))
     assert slider_range("gains.i", 0.0) == (0.0, 10.0, False)

@@ -203,8 +203,21 @@ def test_a_goal_begins_where_references_stand():
     assert goal.arrays.positions[0] == pytest.approx([0.51, -0.19])
     settings = group_settings(made, 0.5, 0.5, is_simulated=False)
     assert settings.joints == ("elbow", "wrist")
-    assert settings.decelerations == tuple(each.peaks.acceleration for each in made.joints)
+    for least, each in zip(settings.decelerations, made.joints, strict=True):
+        assert least >= each.peaks.acceleration
     assert settings.tolerances.path["elbow"].position == made.joints[0].tolerance
+
+
+@pytest.mark.parametrize("duration", [4.0, 60.0])
+def test_a_slow_motion_stops_as_soon_as_a_fast_one(duration):
+    """The button's release is a stop, however long the motion was to last."""
+    wish = Wish(amplitude=1.0)
+    made = plan([ELBOW], wish, SHORT._replace(duration=duration))
+    (joint,) = made.joints
+    (deceleration,) = group_settings(made, 0.5, 0.5, is_simulated=False).decelerations
+    spare = min(ELBOW.efforts[1] - ELBOW.load, ELBOW.load - ELBOW.efforts[0])
+    assert joint.peaks.velocity / deceleration <= 0.5 + 1e-9
+    assert deceleration <= max(0.5 * spare / ELBOW.inertia, joint.peaks.acceleration)
 
 
 FAST = replace(ELBOW, velocity=9.0)

@@ -116,6 +116,13 @@ def test_a_section_for_nodes_that_the_file_does_not_name_is_refused():
         settings_from_parameters(document, "file")
 
 
+def test_a_file_of_very_many_sections_is_refused():
+    """Each is held against each, and the live page reads what people give it."""
+    document = {f"a{k}": {"ros__parameters": {}} for k in range(2000)}
+    with pytest.raises(SettingError, match="2000 sections"):
+        settings_from_parameters(document, "file")
+
+
 def test_a_joint_may_have_any_name_in_the_inertia_ranges():
     document = {
         "elbow": {"ros__parameters": {"joint": "elbow"}},
