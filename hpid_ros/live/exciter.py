@@ -248,6 +248,8 @@ class Exciter(MovingNode):
         self._plan = plan = ExcitationPlan.from_mapping(order["plan"])
         within = order["held_within"]
         self._button = None if within is None else DeadMan(float(within))
+        watched_within = order.get("watched_within")
+        self._parent = None if watched_within is None else DeadMan(float(watched_within))
         self._has_said_ready = self._has_begun = self._is_untold = False
         references = {
             each.bounds.joint: f"{each.bounds.controller}/reference" for each in plan.joints
@@ -346,6 +348,8 @@ class Exciter(MovingNode):
             return
         if self._button is not None and not self._button.is_held():
             self._act(self._follower.leave("the button was released"))
+        if self._parent is not None and not self._parent.is_held():
+            self._act(self._follower.leave("the command that watches it was stopped"))
         feedback = self._follower.feedback()
         if feedback is not None:
             self.status.send("at", seconds=feedback.since_start_ns * 1e-9)

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -42,6 +42,7 @@ from hpid_ros.tuning.term_selection import JointIdentification
 HELD_WITHIN = 0.4
 """Longest time between two presses, in [s]; who holds the button presses several times in it."""
 
+_WATCHED_WITHIN = 2.0  # [s] for a sign of life of this process, where nobody holds a button
 _ENDS_WITHIN = 8.0  # [s] from the release
 
 
@@ -148,18 +149,22 @@ def carried_out(
     with tempfile.TemporaryDirectory(prefix="hpid_live_") as folder:
         place = Path(folder)
         file = place / "plan.json"
-        whole = {**order, "recorder": RECORDER, "held_within": button and button.within}
+        whole = {
+            **order,
+            "recorder": RECORDER,
+            "held_within": button and button.within,
+            "watched_within": None if button else _WATCHED_WITHIN,
+        }
         file.write_text(json.dumps(whole))
         with (
             NodeGroup(os.environ, place) as group,
             _recorded(group, graph, mover.topics, bag, place, arguments) as recorder,
         ):
             of_mover = [*arguments, "-p", f"plan_file:={file}"]
-            process = group.start(
-                mover.name, mover.executable, of_mover, has_input=button is not None
-            )
-            with button.held_for(process.process) if button else nullcontext():
-                return _watched(mover, process, recorder, tell, button)
+            process = group.start(mover.name, mover.executable, of_mover, has_input=True)
+            pulse = None if button else Button(_WATCHED_WITHIN)
+            with (button or pulse).held_for(process.process):  # type: ignore[union-attr]
+                return _watched(mover, process, recorder, tell, button, pulse)
 
 
 @contextmanager
@@ -201,10 +206,13 @@ def _watched(
     recorder: NodeProcess,
     tell: Tell,
     button: Button | None,
+    pulse: Button | None,
 ) -> Ending:
     """Wait for the end; an interrupt, the recorder's end or one that is overdue is one, too."""
     try:
         while True:
+            if pulse is not None:  # not while Ctrl-Z has stopped this process
+                pulse.press()
             recorder.read_events()  # a pipe that nobody reads would hold the recorder up
             ending = _ending(mover, process, tell)
             if ending is not None:

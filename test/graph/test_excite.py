@@ -61,18 +61,24 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
     controllers = chosen(graph, [])
     (bounds,) = [bounds_of(each, INERTIA) for each in controllers]
 
+    def stand_still(event, seconds):
+        """Do nothing, as a command that Ctrl-Z has stopped, until the joint rests."""
+        if event == "at" and seconds > 1.0:
+            wait_for_rest(harness)
+
     for effort, tell, reason in (
         (10.0, interrupt, "it was interrupted"),
+        (10.0, stand_still, "the command that watches it was stopped"),
         (0.01, let_go_on, "from its reference, its tolerance is"),  # less than friction
     ):
         made = plan([replace(bounds, position=positions(harness)[-1])], Wish(), SHORT)
         harness.set_parameters("turn_controller", u_clamp_max=effort, u_clamp_min=-effort)
-        bag = tmp_path / f"bag_{effort}"
+        bag = tmp_path / f"bag_{tell.__name__}"
         ending = carry_out(made, controllers, graph, bag, "joint_states", tell)
         harness.set_parameters("turn_controller", u_clamp_max=10.0, u_clamp_min=-10.0)
         wait_for_rest(harness)
         assert reason in ending.reason
-        assert ending.is_interrupted == (effort == 10.0)
+        assert ending.is_interrupted == (tell is interrupt)
         assert (bag / "metadata.yaml").exists()
 
 
