@@ -107,6 +107,7 @@ def finite(samples: JointSamples) -> tuple[JointSamples, int]:
 
 _RESET_NS = 1_000_000_000
 """By which a clock that was set back goes back at least; less is disorder on the way."""
+_STRAYS = 100  # states that come so much late; more are a clock of their own
 RUN_SPACING_NS = 1_000_000_000_000_000
 """Added to the stamps of each run after another one: longer than any run."""
 
@@ -330,10 +331,23 @@ class JointRun:
             )
         self._header_ns = samples.stamps_ns
         self._samples = samples._replace(stamps_ns=self._times(samples))
+        if not selection.separates_runs:
+            self._require_one_run()
         self.states = ordered(self._samples.stamps_ns, samples.values, not_finite)
         if clock == "header" and len(samples.values) > 1 and not self.states.stamps_ns.any():
             raise SeriesError(
                 f"joint {joint!r}: its states carry no stamps; read them with clock 'receive'"
+            )
+
+    def _require_one_run(self) -> None:
+        """Refuse runs on a clock that began again: they would be laid over each other."""
+        stamps_ns = self._samples.stamps_ns
+        behind = np.maximum.accumulate(stamps_ns) - stamps_ns
+        if np.count_nonzero(behind >= _RESET_NS) > _STRAYS:
+            raise SeriesError(
+                f"joint {self._joint!r}: the clock of its states went back by "
+                f"{behind.max() / NANOSECONDS:.3g} s, or two senders have clocks of their own; "
+                f"read them with clock 'receive'"
             )
 
     def is_within(self, window: Window) -> bool:

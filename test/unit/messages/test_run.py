@@ -278,6 +278,22 @@ def test_an_observers_estimate_is_no_command(tmp_path):
     assert len(read(path).joints[0].effort) == 0
 
 
+def test_a_simulation_that_was_reset_is_not_laid_over_itself(tmp_path):
+    """A few states that come late are put in order."""
+    for count in (3, 300):
+        log = [
+            ("/joint_states", run * S + k * MS, state(k * MS + 5 * S * (run == 0), a=float(k))[2])
+            for run, length in ((0, 400), (1, count))
+            for k in range(length)
+        ]
+        path = write(tmp_path / f"bag_{count}", {"/joint_states": JOINT_STATE}, log)
+        if count == 3:
+            assert len(read(path).joints[0].position) == 403
+            continue
+        refused(path, "the clock of its states went back by 5.* s, or two senders")
+        assert len(read(path, clock="receive").joints[0].position) == 700
+
+
 def test_commands_without_stamps_are_placed_by_when_they_were_received(tmp_path):
     """Not taken for one command that is repeated."""
     log = states() + [
