@@ -47,7 +47,12 @@ def make_law(settings: LoopSettings) -> Pid | HomogeneousPid:
     if not is_implicit:
         return HomogeneousPid(settings.gains, norm, floor, cap)
     return SemiImplicitHomogeneousPid(
-        settings.gains, norm, floor, cap, inertia=settings.plant_inertia
+        settings.gains,
+        norm,
+        floor,
+        cap,
+        inertia=settings.plant_inertia,
+        period=settings.timing.control_period,
     )
 
 

@@ -269,7 +269,7 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
     Source: backward Euler of the paper's law, equation (8), on m e'' = -u + w, w the load.
     """
 
-    __slots__ = ("inertia",)
+    __slots__ = ("inertia", "period")
 
     def __init__(
         self,
@@ -279,10 +279,11 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
         norm_cap: float = math.inf,
         *,
         inertia: float,
+        period: float,  # [s] nominal: the effort must not move because a sample was lost
     ) -> None:
         if not (math.isfinite(inertia) and inertia > 0.0):
             raise GainError(f"the inertia must be positive and finite, not {inertia} kg m^2")
-        self.inertia = inertia
+        self.inertia, self.period = inertia, period
         super().__init__(gains, norm, norm_floor, norm_cap)
 
     def update(self, error: float, error_rate: float, dt: float) -> float:
@@ -292,11 +293,12 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
         square = multiplier * multiplier
         stiffness = gains.p * square
         damping = gains.d * multiplier
-        moved = dt / self.inertia
-        divisor = 1.0 + moved * (damping + dt * stiffness)
+        period = self.period
+        moved = period / self.inertia
+        divisor = 1.0 + moved * (damping + period * stiffness)
         self._proportional = proportional = stiffness * error / divisor
-        self._derivative = derivative = (damping + dt * stiffness) * error_rate / divisor
+        self._derivative = derivative = (damping + period * stiffness) * error_rate / divisor
         self._integral_used = integral
-        error_after = ((1.0 + moved * damping) * error + dt * error_rate) / divisor
+        error_after = ((1.0 + moved * damping) * error + period * error_rate) / divisor
         self._integral = integral + dt * (gains.i * (square * multiplier) * error_after)
         return proportional + derivative + integral

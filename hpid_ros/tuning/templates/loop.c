@@ -254,12 +254,12 @@ static Real law(State *loop, Real error, Real error_rate, Real dt)
             loop->term_d = d * factor * error_rate;
             loop->integral += dt * (i * (square * factor) * error);
         } else { /* error and rate at the end of the sample, as inertia moves them */
-            Real stiffness = p * square, damping = d * factor;
-            Real moved = dt / s->inertia;
-            Real divisor = 1 + moved * (damping + dt * stiffness);
-            Real after = ((1 + moved * damping) * error + dt * error_rate) / divisor;
+            Real stiffness = p * square, damping = d * factor, period = s->control_period;
+            Real moved = period / s->inertia;
+            Real divisor = 1 + moved * (damping + period * stiffness);
+            Real after = ((1 + moved * damping) * error + period * error_rate) / divisor;
             loop->term_p = stiffness * error / divisor;
-            loop->term_d = (damping + dt * stiffness) * error_rate / divisor;
+            loop->term_d = (damping + period * stiffness) * error_rate / divisor;
             loop->integral += dt * (i * (square * factor) * after);
         }
     }

@@ -235,14 +235,14 @@ def explicit(degree, gains=TRIPLE, floor=1e-4):
     return HomogeneousPid(gains, WeightedNorm(degree, 1.0, 0.1), floor)
 
 
-def implicit(degree, gains=TRIPLE, floor=1e-4, inertia=1.0):
+def implicit(degree, gains=TRIPLE, floor=1e-4, inertia=1.0, period=0.055):
     norm = WeightedNorm(degree, 1.0, 0.1)
-    return SemiImplicitHomogeneousPid(gains, norm, floor, inertia=inertia)
+    return SemiImplicitHomogeneousPid(gains, norm, floor, inertia=inertia, period=period)
 
 
 @given(VALUES, VALUES, st.floats(1e-4, 0.1), st.floats(0.1, 10.0))
 def test_at_degree_zero_the_semi_implicit_law_is_the_pid_by_backward_euler(e, de, period, inertia):
-    law = implicit(0.0, inertia=inertia)
+    law = implicit(0.0, inertia=inertia, period=period)
     law.restore_integral(0.7)
     effort = law.update(e, de, period)
     # e+ = e + T de+ and de+ = de - T (p e+ + d de+) / m, the integral left to the disturbance.
@@ -254,7 +254,7 @@ def test_at_degree_zero_the_semi_implicit_law_is_the_pid_by_backward_euler(e, de
 
 @given(st.floats(-0.4, 0.4), VALUES, VALUES)
 def test_the_semi_implicit_law_is_the_law_itself_for_fast_sampling(degree, error, rate):
-    law, other = implicit(degree, floor=1e-2), explicit(degree, floor=1e-2)
+    law, other = implicit(degree, floor=1e-2, period=1e-9), explicit(degree, floor=1e-2)
     expected = other.update(error, rate, 1e-9)
     assert law.update(error, rate, 1e-9) == pytest.approx(expected, rel=1e-3, abs=1e-3)
     assert law.integral == pytest.approx(other.integral, rel=1e-3, abs=1e-9)
@@ -274,7 +274,7 @@ def test_the_semi_implicit_law_settles_where_forward_euler_diverges(degree):
 def test_the_semi_implicit_law_does_not_chatter_at_rest_where_forward_euler_does(degree, period):
     """Close to the target a negative degree multiplies the gains, and T kd lam is large."""
     _, chatters = sampled(explicit(degree, DAMPED), period)
-    errors, efforts = sampled(implicit(degree, DAMPED), period)
+    errors, efforts = sampled(implicit(degree, DAMPED, period=period), period)
     assert np.ptp(chatters[-20:]) > 10.0
     assert np.ptp(efforts[-20:]) < 0.01 * np.ptp(chatters[-20:])
     assert np.abs(errors[-20:]).max() < 1e-3

@@ -379,6 +379,15 @@ def test_without_a_floor_a_joint_at_rest_on_its_target_is_no_fault(discretizatio
     assert loop.counts.rejected == 0
 
 
+@pytest.mark.parametrize("discretization", ["explicit", "semi_implicit"])
+def test_a_lost_state_of_a_joint_that_stands_moves_no_effort(discretization):
+    values = {"gains": Gains(300.0, 0.0, 30.0), "law": "pid", "control_period": 0.01}
+    loop = loop_on(Setpoint(0.1), **values, inertia=1.0, discretization=discretization)
+    stamps = [0, *range(600, 700, 10), 720, 730, 790, 800]
+    efforts = [loop.step(stamp * MS, 0.0, 0.0) for stamp in [*range(0, 600, 10), *stamps[1:]]]
+    assert np.ptp(efforts[60:]) < 1e-9
+
+
 @pytest.mark.parametrize(("least", "most", "error"), [(2.0, 10.0, 0.5), (-10.0, -2.0, -0.5)])
 def test_an_error_that_leads_out_of_a_limit_is_integrated(least, most, error):
     values = {"gains": Gains(1.0, 10.0, 0.1), "u_clamp_min": least, "u_clamp_max": most}
