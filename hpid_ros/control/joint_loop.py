@@ -528,6 +528,8 @@ class JointLoop:
             return False
         assert self.stamp_ns is not None
         timeout = self._timing.state_timeout
+        if stamp_ns < self.stamp_ns:  # and so was the one before
+            return True
         return (stamp_ns - self._refused_ns) * SECONDS_PER_NANOSECOND <= timeout or (
             self._refused_ns - self.stamp_ns
         ) * SECONDS_PER_NANOSECOND > timeout

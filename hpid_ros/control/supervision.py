@@ -148,8 +148,10 @@ class SupervisedLoop:
         self._resumed: tuple[int, int] | None = None  # stamp of the first that waited, and when
 
     def begin(self) -> None:
-        """Let the loop answer again after a stop."""
+        """Let the loop answer again, after a stop or from the beginning."""
         self._stop = None
+        self._is_resuming = self._was_held = False
+        self._latency_ns = self._resumed = None
 
     def damp(self, duration: float) -> bool:
         """Let a damping stop answer from now on."""
@@ -195,6 +197,8 @@ class SupervisedLoop:
         if self._was_held:
             self._resume()
             self.loop.supersede(0.0)
+            if self._stop is not None:
+                self._stop.effort = 0.0
         if self._is_resuming and self._has_waited(stamp_ns, now_ns):
             return (self.loop if self._stop is None else self._stop).effort
         if stamp_ns != self._stamp_ns:
@@ -213,7 +217,9 @@ class SupervisedLoop:
             self._timed_out(silence.duration, self.loop.note_timeout())
 
     def _resume(self) -> None:
-        self._is_resuming, self._was_held, self._resumed = True, False, None
+        if not self._is_resuming:
+            self._resumed = None
+        self._is_resuming, self._was_held = True, False
 
     def _has_waited(self, stamp_ns: int, now_ns: int) -> bool:
         """Tell whether a state was waiting to be answered; the first that was not ends it."""

@@ -343,12 +343,14 @@ class Exciter(MovingNode):
             if self._is_at_rest() or time.monotonic() - self._ended > patience:
                 self._finish(self._resting)
             return
+        is_watched = self._parent is None or self._parent.is_held()
         if not self._has_begun:
-            self._begin_when_ready()
+            if is_watched:
+                self._begin_when_ready()
             return
         if self._button is not None and not self._button.is_held():
             self._act(self._follower.leave("the button was released"))
-        if self._parent is not None and not self._parent.is_held():
+        if not is_watched:
             self._act(self._follower.leave("the command that watches it was stopped"))
         feedback = self._follower.feedback()
         if feedback is not None:

@@ -107,7 +107,7 @@ def finite(samples: JointSamples) -> tuple[JointSamples, int]:
 
 _RESET_NS = 1_000_000_000
 """By which a clock that was set back goes back at least; less is disorder on the way."""
-_STRAYS = 100  # states that come so much late; more are a clock of their own
+_STRAYS = 30  # states that come so much late; more are a clock of their own
 RUN_SPACING_NS = 1_000_000_000_000_000
 """Added to the stamps of each run after another one: longer than any run."""
 

@@ -329,7 +329,8 @@ class _Chooser:
         candidates = self.of_type(JOINT_STATE)
         here = f"{self.near}/joint_commands"
         found = [here] if here in candidates else matching("joint_commands", candidates)
-        if asked is None and len(matching("joint_states", candidates)) > 1:  # several robots
+        are_several = len(matching("joint_states", candidates)) > 1  # robots
+        if asked is None and are_several:
             found = [each for each in found if self.is_near(each)]
         if found and asked is None and len(states) > 1:  # as its states, so its commands
             return tuple(name for name in found if is_below(name, self.near)), {}
@@ -357,7 +358,9 @@ class _Chooser:
         found = [
             name
             for name in candidates
-            if name not in states and self.is_near(name) and _may_be_commands(name)
+            if name not in states
+            and _may_be_commands(name)
+            and (self.is_near(name) or not are_several)
         ]
         return (self.one("the commands", found, "--commands"),) if found else (), {}
 

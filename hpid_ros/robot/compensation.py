@@ -159,6 +159,8 @@ class RobotStates:
         before_ns, self._beyond_ns = self._beyond_ns, stamp_ns
         if before_ns == _NO_TIME or stamp_ns < before_ns:
             return True
+        if stamp_ns < self._stamp_ns:  # and so was the one before
+            return False
         longest_ns = self._timeout / SECONDS_PER_NANOSECOND
         return stamp_ns - before_ns > longest_ns >= before_ns - self._stamp_ns
 
@@ -169,6 +171,11 @@ class RobotStates:
         Drivers fill in zeros for what they do not measure.
         """
         return self._needs_efforts and self._without_efforts > _WITHOUT_EFFORTS
+
+    def undo(self) -> None:
+        """Forget where the loop's own joint was last: it was not there."""
+        if self._own in self._unwrappers:
+            self._unwrappers[self._own].undo()
 
     def hold(self, stamp_ns: int, reason: str) -> RobotState | None:
         """Return the last usable state in place of one that is not, if it is recent."""
@@ -248,7 +255,11 @@ class Compensator:
         """Return the effort that answers a state, in [N m]: ``fallback_effort`` without a term."""
         if term is None:
             return loop.reject(stamp_ns, f"no model term: {self.states.last_fault}")
-        return loop.step(stamp_ns, position, velocity, term)
+        jumps = loop.counts.jumps
+        effort = loop.step(stamp_ns, position, velocity, term)
+        if loop.counts.jumps > jumps:
+            self.states.undo()
+        return effort
 
     def reset(self) -> None:
         """Forget the past: the next state is the first one."""

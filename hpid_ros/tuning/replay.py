@@ -227,6 +227,7 @@ class _Replay:
         self._undecided = self._passed_over = 0
         self._is_left = False
         self._log_time_ns: int | None = None
+        self._last_stamp_ns: int | None = None
 
     def _sort(self, command: RecordedCommand, stamps: set[int]) -> None:
         """Put a command to the state that it answers, or next to which it was sent."""
@@ -268,6 +269,9 @@ class _Replay:
         own = None
         if commands:
             own = next((each for each in commands if each.sender == self._sender), None)
+            is_repeat = state.stamp_ns == self._last_stamp_ns
+            if own is not None and is_repeat and self._is_last_zero(own):
+                own = None  # the joint was left before the state came once more
             if own is not None:
                 commands.remove(own)
         if own is None:
@@ -279,7 +283,10 @@ class _Replay:
         # A state that comes once more gets an answer of its own.
         is_last = not self._to_come[state.stamp_ns]
         self._after(state, (commands or []) if is_last else [])
-        self._log_time_ns = state.log_time_ns
+        self._log_time_ns, self._last_stamp_ns = state.log_time_ns, state.stamp_ns
+
+    def _is_last_zero(self, command: RecordedCommand) -> bool:
+        return command.effort == 0.0 and all(each.loop.effort != 0.0 for each in self._branches)
 
     def _pass_over(self, index: int, state: RecordedState) -> None:
         """Take a state that nothing answers: it was not received, or the command was lost."""
@@ -314,7 +321,8 @@ class _Replay:
                 branch.loop.note_unanswered()
             branches += woken
         waiting = []
-        if self._has_waited(state, command):
+        timing = branches[0].loop.settings.timing
+        if not timing.is_simulated and self._has_waited(state, command):
             waiting = [branch.copy(2.0, _WAITED) for branch in branches]
         for branch in waiting:
             branch.loop.note_unanswered()

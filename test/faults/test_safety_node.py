@@ -227,6 +227,13 @@ def test_states_that_waited_while_it_was_stopped_do_not_move_the_effort(harness,
                 harness.executor.spin_once(timeout_sec=max(due - time.monotonic(), 0.0))
 
     publish_for(0.2, 0.5)
+    rested_ns = time.monotonic_ns()
+
+    def is_at_rest():
+        publish_for(0.05, 0.0)
+        return harness.commands[-1].stamp_ns > rested_ns + 100 * MS
+
+    harness.wait(is_at_rest, what="answers at rest")
     before = harness.commands[-1].effort[0]
     process.send_signal(stop)
     try:

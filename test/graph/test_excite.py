@@ -71,7 +71,8 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
         (10.0, stand_still, "the command that watches it was stopped"),
         (0.01, let_go_on, "from its reference, its tolerance is"),  # less than friction
     ):
-        made = plan([replace(bounds, position=positions(harness)[-1])], Wish(), SHORT)
+        design = SHORT._replace(duration=20.0) if tell is stand_still else SHORT
+        made = plan([replace(bounds, position=positions(harness)[-1])], Wish(), design)
         harness.set_parameters("turn_controller", u_clamp_max=effort, u_clamp_min=-effort)
         bag = tmp_path / f"bag_{tell.__name__}"
         ending = carry_out(made, controllers, graph, bag, "joint_states", tell)

@@ -242,7 +242,7 @@ class Commands:
         self._stamp_ns: int | None = None  # of the last answer; None once the joint is left
         self._is_cut = self._is_zero = False
         self.cuts = 0
-        """How often the joint was cut; an effort from before is sent no more."""
+        """How often the joint was cut and restored; an effort from before is sent no more."""
 
     def send(self, stamp_ns: int, effort: float, cuts: int) -> None:
         with self._lock:
@@ -272,9 +272,7 @@ class Commands:
         """Publish a zero, after a command that is under way, and nothing else."""
         if self._is_zero:
             return
-        if not self._is_cut:
-            self._is_cut = True
-            self.cuts += 1
+        self._is_cut = True
         if not self._lock.acquire(timeout=_LOCK_WITHIN):
             return
         try:
@@ -285,4 +283,5 @@ class Commands:
             self._lock.release()
 
     def restore(self) -> None:
+        self.cuts += 1  # what was begun until now is from before
         self._is_cut = self._is_zero = False

@@ -798,6 +798,8 @@ static bool has_come_before(const State *loop, int64_t stamp_ns)
     Real timeout = loop->settings.state_timeout * SLACK;
     if (!loop->own.has_unusable || stamp_ns < loop->own.unusable_ns)
         return false;
+    if (stamp_ns < loop->own.stamp_ns) /* and so was the one before */
+        return true;
     return seconds(loop->own.unusable_ns, stamp_ns) <= timeout ||
         seconds(loop->own.stamp_ns, loop->own.unusable_ns) > timeout;
 }

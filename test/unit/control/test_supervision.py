@@ -185,12 +185,48 @@ def test_states_that_waited_get_the_active_effort_and_the_joint_is_taken_over_wh
     assert joint.loop.counts.takeovers == 1
 
 
+def test_a_resumption_ends_within_a_second_whatever_comes_meanwhile():
+    """As where states come more rarely than the timeout, and later than they did."""
+    joint = settled(fallback_effort=1.5)
+    answered, begun = joint.loop.counts.samples, joint.now
+    while joint.now < begun + 2 * 10**9:
+        joint.wait(0.08, looks=[0.06], gives=True)
+        joint.answer(joint.now - 300 * MS, 0.3, 0.0, joint.now)
+    assert joint.loop.counts.samples > answered
+
+
+def test_what_was_before_an_activation_counts_no_more():
+    joint = settled()
+    joint.wait(0.3, looks=[0.06], gives=True)
+    joint.note_release(joint.now)
+    joint.loop.release()
+    joint.begin()
+    for _ in range(3):
+        joint.now += MS
+        joint.answer(joint.now - 10**12, 0.4, 0.0, joint.now)
+    assert joint.loop.reference[0] == 0.4
+    assert joint.loop.counts.samples == 1000 + 3
+
+
+def test_ctrl_z_in_a_damping_stop_leaves_nothing_of_it_in_force():
+    joint = settled()
+    joint.damp(0.5)
+    for k in range(20):
+        joint.now += MS
+        joint.active = joint.answer(joint.now, 0.3 + 2e-3 * k, 2.0, joint.now)
+    assert joint.active < -1.0
+    stopped = joint.now
+    joint.now += 200 * MS
+    joint.note_release(joint.now)
+    assert joint.answer(stopped + 5 * MS, 0.4, 2.0, joint.now) == 0.0
+
+
 @pytest.mark.parametrize("offset", [-(10**12), 10**12, 50 * MS])
-def test_a_clock_that_was_set_in_a_silence_costs_one_state(offset):
+def test_a_clock_that_was_set_in_a_silence_costs_a_twentieth_of_a_second(offset):
     joint = settled()
     joint.wait(1.5)
     effort = joint.active
-    for k in range(1, 200):
+    for k in range(1, 60):
         joint.now += MS
         joint.active = joint.answer(joint.now - offset, 0.3 + 1e-3 * k, 0.0, joint.now)
     assert joint.active != effort

@@ -334,6 +334,7 @@ def test_the_button_is_held_by_the_first_button_alone_and_never_after_it(open_pa
             send("pointerdown", { button: 0, buttons: 1, ctrlKey: true });
             send("pointerdown", { button: 0, buttons: 1 });
             send("pointermove", { buttons: 1 });
+            isHeld.push(send("contextmenu", { pointerType: "touch" }));
             isHeld.push(send("contextmenu", {}));
             send("pointerdown", { button: 0, buttons: 1 });
             send("pointermove", { buttons: 0 });
@@ -344,7 +345,7 @@ def test_the_button_is_held_by_the_first_button_alone_and_never_after_it(open_pa
             return isHeld;
         }"""
     )
-    assert held == [False, False, True, True, False, True, True, False, True]
+    assert held == [False, False, True, True, True, True, False, True, True, False, True]
 
 
 def test_a_page_that_connects_again_is_the_same_page(open_page):

@@ -74,8 +74,10 @@ def test_an_effort_that_was_computed_before_the_process_was_stopped_is_not_sent_
     commands.send(MS, 5.0, commands.cuts)
     before = commands.cuts
     commands.cut()
+    meanwhile = commands.cuts  # of a state that is answered until the process stands still
     commands.restore()
     commands.send(2 * MS, 6.0, before)
+    commands.send(2 * MS, 6.0, meanwhile)
     commands.send(3 * MS, 7.0, commands.cuts)
     assert sent == [(MS, 5.0), (MS + 1, 0.0), (3 * MS, 7.0)]
 

@@ -168,6 +168,8 @@ def test_every_parameter_of_a_loop_is_in_c_or_is_the_nodes_or_of_an_extra():
 def test_golden_vectors_meet_all_that_a_loop_does():
     golden = golden_vectors(settings())
     assert golden == golden_vectors(settings())
+    simulated = golden_vectors(settings().with_parameters({"state_clock": "simulated"}))
+    assert golden == simulated  # an exported loop has no such clock
     assert golden.retuned.mu != settings().mu
     assert golden.retuned.gains != settings().gains
     efforts = [row.effort for row in golden.rows]

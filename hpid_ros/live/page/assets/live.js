@@ -131,6 +131,9 @@ class LivePage {
   onMenu(event) {
     if (event.target.closest?.("[data-act=hold]")) {
       event.preventDefault();
+      if (event.pointerType === "touch") {
+        return; // a long press, which opens none now
+      }
     }
     this.release();
   }
