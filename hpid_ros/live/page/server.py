@@ -1,8 +1,9 @@
 """The page's server: who may see it, a thread beside the nodes, a stream of frames.
 
 The page moves robots. It is told to people by an address with a token; the browser then keeps the
-token as a cookie of this server alone. Another page in the same browser has neither the token nor
-this origin, and a name that somebody has pointed at this address (DNS rebinding) is no host of it.
+token as a cookie of this host, with all its ports. Another page in the same browser has neither
+the token nor this origin, and a name that somebody has pointed at this address (DNS rebinding) is
+no host of it.
 
 Sources: OWASP Cheat Sheet Series, "Cross-Site Request Forgery Prevention" (origin checks, SameSite
 cookies) and "WebSocket Security"; RFC 6455, section 10.2.
