@@ -266,7 +266,7 @@ class _Motion(NamedTuple):
         return placements
 
 
-_ROUNDS = 8
+_HALVINGS = 50
 _AIR = 1.1  # how much wider than what is in it a picture is
 
 
@@ -276,18 +276,26 @@ def framed(points: Numbers, azimuth: float, elevation: float, aspect: float) -> 
     right, up, near = axes @ points.T
     high = math.tan(FIELD / 2.0) / _AIR
     wide = high * aspect
-    x, y, z = ((each.min() + each.max()) / 2.0 for each in (right, up, near))
-    distance = 0.0
-    for _ in range(_ROUNDS):
-        reach = np.maximum(abs(right - x) / wide, abs(up - y) / high)
-        distance = float((reach + near - z).max())
-        depth = distance - (near - z)
-        # Nearer points weigh more: the middle of what is seen is not that of the points.
-        seen = (right - x) / depth, (up - y) / depth
-        x += (seen[0].min() + seen[0].max()) / 2.0 * distance
-        y += (seen[1].min() + seen[1].max()) / 2.0 * distance
-    tx, ty, tz = (axes.T @ (x, y, z)).tolist()
-    return View((tx, ty, tz), distance, azimuth, elevation)
+    eye = max(_nearest_eye(right, near, wide), _nearest_eye(up, near, high))
+    depth, z = eye - near, (near.min() + near.max()) / 2.0
+    tx, ty, tz = (axes.T @ (_middle(right, depth), _middle(up, depth), z)).tolist()
+    return View((tx, ty, tz), float(eye - z), azimuth, elevation)
+
+
+def _nearest_eye(across: Numbers, near: Numbers, slope: float) -> float:
+    """Return from how near points are seen within a slope to either side, wherever across."""
+    sides = (slope * near + across).max() + (slope * near - across).max()
+    return float(sides / (2.0 * slope))
+
+
+def _middle(across: Numbers, depth: Numbers) -> float:
+    """Return where the eye sees as much of points to either side; nearer ones weigh more."""
+    low, high = float(across.min()), float(across.max())
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2.0
+        seen = (across - middle) / depth
+        low, high = (middle, high) if seen.max() > -seen.min() else (low, middle)
+    return (low + high) / 2.0
 
 
 _HEADER, _CHART = 0.075, 0.31  # of the height

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from harness.examples import examples
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import LibraryError, RobotDescriptionError
@@ -119,6 +119,7 @@ def test_the_corners_of_a_turned_box_are_those_of_the_turned_box():
 
 
 @examples(2.0)
+@example(seed=182, azimuth=3.0, elevation=0.0, aspect=2.0)  # along a cloud that is near
 @given(
     seed=st.integers(0, 1000),
     azimuth=st.floats(-3.0, 3.0),
@@ -134,9 +135,9 @@ def test_all_points_are_in_the_picture_which_is_full(seed, azimuth, elevation, a
     high = up / -back / math.tan(FIELD / 2.0)
     wide = right / -back / math.tan(FIELD / 2.0) / aspect
     largest = max(np.abs(high).max(), np.abs(wide).max())
-    assert 0.85 < largest <= 0.95
-    assert abs(high.min() + high.max()) < 0.1
-    assert abs(wide.min() + wide.max()) < 0.1
+    assert largest == pytest.approx(1.0 / 1.1)
+    assert abs(high.min() + high.max()) < 1e-6
+    assert abs(wide.min() + wide.max()) < 1e-6
 
 
 def test_without_opengl_one_line_says_what_to_install(stage, monkeypatch):
