@@ -16,7 +16,7 @@ class Process:
     """A process that says something, and that signals end."""
 
     def __init__(self, seconds, events=()):
-        self.process = subprocess.Popen(["sleep", str(seconds)])
+        self.process = subprocess.Popen(["sleep", str(seconds)], stdin=subprocess.PIPE)
         self._events = list(events)
 
     def read_events(self):
