@@ -43,7 +43,7 @@ def test_it_ends_with_a_controller_file_and_a_report(followed):
 def test_what_is_typed_on_the_robot_names_nodes_and_parameters_that_there_are():
     setup = (ROOT / "setup.py").read_text()
     typed = [command for command in COMMANDS if command.startswith("ros2 ")]
-    assert len(typed) == 4
+    assert len(typed) == 5
     for command in typed:
         for node in re.findall(r"ros2 run hpid_ros (\w+)", command):
             assert f'"{node}"' in setup
