@@ -1,7 +1,7 @@
 """Test motions of the live page: once more, or to an end, whatever a person or a page does."""
 
 import asyncio
-import time
+import threading
 from dataclasses import replace
 
 import pytest
@@ -158,12 +158,18 @@ def test_a_page_that_loses_control_while_a_motion_is_measured_has_nothing_more_s
 ):
     bench = Bench("")
     before = bench.graph.joints[NODE].settings.gains.p
+    cancel, is_cancelled = bench.trials.cancel, threading.Event()
+
+    def noted(*why):
+        cancel(*why)
+        is_cancelled.set()
 
     def measured(*_):
         if len(bench.motions) == motion:
             take_control(bench)
-            time.sleep(0.5)  # it cannot be cancelled: what was set is given back beside it
+            assert is_cancelled.wait(10.0)  # beside it: it cannot be cancelled itself
 
+    monkeypatch.setattr(bench.trials, "cancel", noted)
     monkeypatch.setattr(module, "measure_motion", measured)
     monkeypatch.setattr(module.TrialResult, "of", lambda *_: "what was found")
 
