@@ -34,14 +34,14 @@ _TOPICS = ("joint_states", "joint_commands")
 
 @contextmanager
 def _as_it_is() -> Iterator[GraphOptions]:
-    yield GraphOptions(is_recorded=False)
+    yield GraphOptions("each", is_recorded=False)
 
 
 @contextmanager
 def _wait_set_executor() -> Iterator[GraphOptions]:
     path = os.pathsep.join(filter(None, [str(_WITHOUT_EVENTS), os.environ.get("PYTHONPATH")]))
     with mock.patch.dict(os.environ, PYTHONPATH=path):
-        yield GraphOptions(is_recorded=False)
+        yield GraphOptions("each", is_recorded=False)
 
 
 @contextmanager
@@ -54,19 +54,19 @@ def _qos(side: str, policy: str) -> Iterator[GraphOptions]:
         mock.patch.object(GraphNodes, "bridge_arguments", lambda s: ordinary[0](s) + extra),
         mock.patch.object(GraphNodes, "controller_arguments", lambda s: ordinary[1](s) + extra),
     ):
-        yield GraphOptions(is_recorded=False)
+        yield GraphOptions("each", is_recorded=False)
 
 
 @contextmanager
 def _ordinary_scheduling() -> Iterator[GraphOptions]:
     group = partial(node_process.NodeGroup)
     with mock.patch.object(graph_run, "NodeGroup", lambda *args, is_batch: group(*args)):
-        yield GraphOptions(is_recorded=False)
+        yield GraphOptions("each", is_recorded=False)
 
 
 @contextmanager
 def _realtime_priority() -> Iterator[GraphOptions]:
-    yield GraphOptions(is_recorded=False, realtime_priority=_PRIORITY)
+    yield GraphOptions("each", is_recorded=False, realtime_priority=_PRIORITY)
 
 
 VARIANTS: dict[str, Callable[[], AbstractContextManager[GraphOptions]]] = {

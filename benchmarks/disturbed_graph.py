@@ -77,7 +77,7 @@ class DisturbedGraph:
         bag: Path | None,
         chance: random.Random,
     ) -> None:
-        options = GraphOptions(is_recorded=bag is not None)
+        options = GraphOptions("each", is_recorded=bag is not None)
         self.nodes = GraphNodes(experiment, label, bag, folder, options)
         self.joints = experiment.world.joints
         self.faults: list[Fault] = []

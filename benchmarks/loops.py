@@ -43,7 +43,7 @@ def groups(quick: bool) -> tuple[Group, ...]:
 
 def _in_processes(quick: bool) -> Group:
     seconds = (_SECONDS_QUICK if quick else _SECONDS)["each"]
-    bare, recorded = GraphOptions(is_recorded=False), GraphOptions(is_recorded=True)
+    bare, recorded = GraphOptions("each", is_recorded=False), GraphOptions("each")
     contenders: dict[str, Measure] = {
         "floor": _floor("each", quick, is_timing=True),
         "ours": _ours(tracking(1, seconds, ENGINE), bare),
@@ -86,7 +86,7 @@ def _with_bullet(
     for steps in (1, 4):
         name = f"ours, PyBullet, {steps} physics steps"
         experiment = tracking(steps, seconds, "pybullet")
-        contenders[name] = _ours(experiment, GraphOptions(is_recorded=False))
+        contenders[name] = _ours(experiment, GraphOptions("each", is_recorded=False))
         figures.append(
             Figure(f"loop.processes.pybullet.steps{steps}", "cycles/s", Source(name, "rate"),
                    floor, against)
@@ -124,7 +124,7 @@ def _jitter(seconds: float) -> Group:
 
     def measure() -> Mapping[str, float]:
         stolen = _stolen_time()
-        options = GraphOptions(is_recorded=False, is_realtime=True)
+        options = GraphOptions("each", is_recorded=False, is_realtime=True)
         timing = timing_of(run_checked(tracking(1, seconds, ENGINE), LABEL, options, NoProgress()))
         worst = max(timing, key=lambda joint: joint["period"]["p99"])
         return {

@@ -17,7 +17,7 @@ from typing import Any
 
 GROUPS = {
     "compare controllers in simulation": {
-        "compare": "all controllers of an experiment, once, one process per joint",
+        "compare": "all controllers of an experiment, once, one node per joint",
         "run": "one of them, and how its time was spent",
         "study": "all of them over many seeds: medians, and the paper's claims",
         "sweep": "one of them over a grid of its parameters",
@@ -237,10 +237,27 @@ def output_options(parser: Parser, name: str) -> None:
     options(parser, "--force  replace an existing result")
 
 
+def process_options(parser: Parser) -> argparse._MutuallyExclusiveGroup:
+    """Add over how many processes a run on the graph is spread."""
+    text = """
+        --separate  each controller in a process of its own: the default with a core for each
+        --composed  all controllers in one process: the default with fewer cores
+        --single-process  controllers and robot in one process
+    """
+    kinds = {"separate": "each", "composed": "composed", "single_process": "single"}
+    either = parser.add_mutually_exclusive_group()
+    settings = {
+        option: {"dest": "processes", "action": "store_const", "const": kind}
+        for option, kind in kinds.items()
+    }
+    options(either, text, **settings)
+    return either
+
+
 def compare(parser: Parser) -> None:
     parser.describe(
         "[FILE]",
-        "Run the controllers of an experiment on the ROS 2 graph, one process per joint, record "
+        "Run the controllers of an experiment on the ROS 2 graph, one node per joint, record "
         "everything, and leave the table, the bags and a report.",
         {
             "hpid compare": "the paper's comparison",
@@ -251,8 +268,8 @@ def compare(parser: Parser) -> None:
     experiment_options(parser)
     engine_options(parser, "pybullet, mujoco, or both to compare them")
     output_options(parser, "NAME")
+    options(process_options(parser), "--in-process  without ROS; the numbers are the same")
     text = """
-        --in-process  run without ROS; the numbers are the same
         --figures FORMAT,...  also draw figures for print: png, pdf, svg or none; hpid figures does
             so later (none)
         --no-figures
@@ -298,18 +315,7 @@ def run(parser: Parser) -> None:
     experiment_options(parser)
     engine_options(parser)
     options(parser, "--controller LABEL  which of its controllers (the last one)")
-    parser.set_defaults(processes="each")
-    either = parser.add_mutually_exclusive_group()
-    text = """
-        --composed  all controllers in one process, not one each
-        --single-process  controllers and robot in one process
-    """
-    options(
-        either,
-        text,
-        composed={"dest": "processes", "action": "store_const", "const": "composed"},
-        single_process={"dest": "processes", "action": "store_const", "const": "single"},
-    )
+    process_options(parser)
     text = """
         --realtime  paced by the wall clock, not in lock-step
         --no-trial  with --realtime: begin at once, without a second in lock-step that tells what

@@ -375,6 +375,7 @@ def compare(
     progress: Progress,
     *,
     in_process: bool = False,
+    options: GraphOptions | None = None,
     force: bool = False,
     computed: Computed = _nothing,
 ) -> Compared:
@@ -383,7 +384,7 @@ def compare(
     ``computed`` is called with the numbers as soon as they are saved.
     """
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
-        return _compare(experiment, folder, progress, in_process, computed)
+        return _compare(experiment, folder, progress, in_process, options, computed)
 
 
 @dataclass(frozen=True)
@@ -407,6 +408,7 @@ def compare_engines(
     progress: Progress,
     *,
     in_process: bool = False,
+    options: GraphOptions | None = None,
     force: bool = False,
     computed: Computed = _nothing,
 ) -> ComparedEngines:
@@ -417,7 +419,7 @@ def compare_engines(
             engine = experiment.world.engine
             part = folder.part(engine)
             told = NamedProgress(progress, engine, list(experiment.controllers))
-            compared[engine] = _compare(experiment, part, told, in_process, computed)
+            compared[engine] = _compare(experiment, part, told, in_process, options, computed)
         totals = _engine_totals({engine: each.result for engine, each in compared.items()})
         both = ComparedEngines(compared, totals, folder)
         folder.write("engines.txt", grids_text(both.grids))
@@ -448,6 +450,7 @@ def _compare(
     folder: ResultFolder,
     progress: Progress,
     in_process: bool,
+    options: GraphOptions | None,
     computed: Computed,
 ) -> Compared:
     if experiment.engine_note:
@@ -461,7 +464,7 @@ def _compare(
             write_run_files(nodes, experiment, experiment.controllers[label])
             reports.append(run_without_ros(experiment, label, bag, progress))
         else:
-            reports.append(run_on_graph(experiment, label, bag, nodes, progress))
+            reports.append(run_on_graph(experiment, label, bag, nodes, progress, options))
         progress.advanced(label, experiment.duration)
     progress.phase("", "computing")
     bags = {label: folder.bag(label) for label in experiment.controllers}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import select
 import tempfile
@@ -46,14 +47,16 @@ PROCESSES = ("each", "composed", "single")
 class GraphOptions:
     """Choices that change how fast a run goes and, in lock-step, nothing of its numbers."""
 
-    processes: str = "each"  # each: every controller in a process of its own
+    # each: every controller in a process of its own; composed: all of them in one; single: the
+    # robot, too; None: each where every process has a core, else composed
+    processes: str | None = None
     is_recorded: bool = True  # whether a recorder writes a bag
     # the wall clock paces the states, and no state waits for its answers
     is_realtime: bool = False
     realtime_priority: int = 0  # SCHED_FIFO priority of controllers and bridge; 0 asks for none
 
     def __post_init__(self) -> None:
-        if self.processes not in PROCESSES:
+        if self.processes not in (None, *PROCESSES):
             raise SettingError(
                 f"processes must be one of {', '.join(PROCESSES)}, not {self.processes!r}"
             )
@@ -61,6 +64,12 @@ class GraphOptions:
             raise SettingError(
                 f"realtime_priority must lie in [0, 99], not {self.realtime_priority}"
             )
+
+    def for_joints(self, count: int, cores: int) -> GraphOptions:
+        """Return these with the processes of so many controllers on so many cores."""
+        if self.processes is not None:
+            return self
+        return replace(self, processes="each" if count + 1 <= cores else "composed")
 
 
 _START_WITHIN = 60.0  # [s] from the first process to the first state
@@ -86,7 +95,9 @@ class GraphNodes:
         folder: Path,
         options: GraphOptions,
     ) -> None:
-        self._experiment, self._label, self._options = experiment, label, options
+        self._experiment, self._label = experiment, label
+        joints, cores = len(experiment.controllers[label]), len(os.sched_getaffinity(0))
+        self._options = options = options.for_joints(joints, cores)
         self._bag, self._folder = bag, folder
         self.topics = recorded_topics(experiment.world)
         is_single = options.processes == "single"
@@ -406,5 +417,5 @@ def trial_line(cycles: int, median: float, p99: float, period: float) -> str:
     how_often = "most" if median > period else "some"
     return (
         f"{found}: more than {wanted}, so that {how_often} states will be late or lost; a "
-        f"lower control.rate, --composed, --engine mujoco or --no-record ask for less"
+        f"lower control.rate, fewer processes, --engine mujoco or --no-record ask for less"
     )

@@ -29,7 +29,8 @@ from hpid_ros.messages.run import read_run
 
 
 def run_compare(experiment, folder, **options):
-    return compare(experiment, folder, NoProgress(), **options)
+    each = GraphOptions(processes="each")
+    return compare(experiment, folder, NoProgress(), options=each, **options)
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +121,12 @@ def child_of(node):
     return next(pid for pid, name in children().items() if name == node)
 
 
+def test_controllers_get_a_process_each_where_every_process_has_a_core():
+    for processes, kind in ((None, ("composed", "each")), ("each", ("each", "each"))):
+        options = GraphOptions(processes)
+        assert tuple(options.for_joints(8, cores).processes for cores in (8, 9)) == kind
+
+
 def test_a_killed_controller_leaves_the_others_at_work(experiment_file, tmp_path):
     """Its joint gets no effort, the run says so, and nobody else misses a sample."""
     experiment = load_experiment(
@@ -128,7 +135,8 @@ def test_a_killed_controller_leaves_the_others_at_work(experiment_file, tmp_path
     folder = tmp_path / "nodes"
     folder.mkdir()
     killer = KillerOf("arm_joint_2_controller", 0.2)
-    report = run_on_graph(experiment, "hPID", tmp_path / "bag", folder, killer)
+    each = GraphOptions(processes="each")
+    report = run_on_graph(experiment, "hPID", tmp_path / "bag", folder, killer, each)
     assert killer.killed_at is not None
     assert report.states == 3001
     silent = " ".join(line for line in report.warnings if line.startswith("no answer"))
@@ -208,7 +216,7 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
     experiment_file, tmp_path, number
 ):
     folder = tmp_path / "result"
-    command = [sys.executable, "-m", "hpid_ros.cli.main", "compare", "--output", folder]
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "compare", "--separate", "-o", folder]
     hpid = subprocess.Popen(
         [*command, experiment_file(duration=100.0)],
         stdout=subprocess.DEVNULL,

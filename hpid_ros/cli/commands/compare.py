@@ -26,6 +26,7 @@ from hpid_ros.cli.terminal import (
     print_runs,
 )
 from hpid_ros.experiment.compare import Result, compare, compare_engines
+from hpid_ros.experiment.graph_run import GraphOptions
 from hpid_ros.experiment.in_process import RunReport, named
 from hpid_ros.experiment.result_folder import reopened
 from hpid_ros.report.figures import require_formats
@@ -54,6 +55,7 @@ def run(options: argparse.Namespace) -> int:
         compare(
             *(experiment, output, progress),
             in_process=options.in_process,
+            options=GraphOptions(options.processes),
             force=options.force,
             computed=show,
         )
@@ -102,6 +104,7 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
         both = compare_engines(
             *(experiments, output, progress),
             in_process=options.in_process,
+            options=GraphOptions(options.processes),
             force=options.force,
             computed=show,
         )
