@@ -237,8 +237,8 @@ def output_options(parser: Parser, name: str) -> None:
     options(parser, "--force  replace an existing result")
 
 
-def process_options(parser: Parser) -> argparse._MutuallyExclusiveGroup:
-    """Add over how many processes a run on the graph is spread."""
+def process_options(parser: Parser) -> Any:
+    """Add over how many processes a run on the graph is spread; return their exclusive group."""
     text = """
         --separate  each controller in a process of its own: the default with a core for each
         --composed  all controllers in one process: the default with fewer cores

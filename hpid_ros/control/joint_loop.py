@@ -32,12 +32,12 @@ class LoopState(Enum):
     usable state           HOLDING, or FOLLOWING where there is a motion
     state refused          FAULT, SILENT stays SILENT; the first jump of a position changes none
     ``note_timeout``       SILENT
-    clock back, ``reset``  WAITING: the next usable state is the first
+    clock back, ``reset``  WAITING: the next usable state is the first (a simulated clock alone)
     =====================  ====================================================================
 
     Beside it one flag, ``JointLoop._is_takeover_due``: the next usable state is a takeover. Set by
-    ``supersede``, both timeouts (of a wall clock), a gap between stamps and a jump that was
-    confirmed; cleared by the usable state and by ``reset``.
+    ``supersede``, both timeouts (of a wall clock), a gap between stamps, a wall clock that was set
+    back and a jump that was confirmed; cleared by the usable state and by ``reset``.
     """
 
     WAITING = "waiting for the first state"
@@ -71,12 +71,13 @@ class JointLoop:
     """The control of one joint, without ROS, files or clocks.
 
     Time enters with the stamps of the states alone: equal stamps are a repeat, which gets the
-    active effort again; stamps that go back reset the loop. Until it is told otherwise, a
-    loop holds the position of its first state.
+    active effort again; stamps that go back reset the loop if its clock is simulated. Until it is
+    told otherwise, a loop holds the position of its first state.
 
     Where the joint was without a command of the loop for longer than ``state_timeout`` (a gap
-    between the stamps, :meth:`note_timeout`, states that cannot be used), and where its position
-    jumped, the loop takes over again: it starts from where the joint is, with the active effort
+    between the stamps, :meth:`note_timeout`, states that cannot be used), where its position
+    jumped, and where a wall clock was set back, which ends a motion that goes by it, the loop
+    takes over again: it starts from where the joint is, with the active effort
     as its integral (after a jump without its derivative term), and glides onto a motion that is
     under way. A gap, and on a wall clock a stamp that goes back, is believed with its second
     state: the first gets the active effort, so that a single wrong stamp leaves nothing behind.
@@ -512,12 +513,15 @@ class JointLoop:
         return self._law.effort
 
     def _interrupt(self, dt: float) -> None:
-        """Reset after a clock that went back, or be due for a takeover after a gap."""
+        """Reset after a simulated clock that went back; else be due for a takeover."""
         if dt < 0.0:
             self.last_fault = f"the stamp went back by {-dt:g} s"
             self.counts.resets += 1
-            self.reset()
-        elif dt > 0.0:
+            if self._timing.is_simulated:
+                self.reset()
+                return
+            self._following.end_timed_motion()
+        if dt:
             self._is_takeover_due = True
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
@@ -142,6 +142,10 @@ class Motion(Protocol):
     def gives_effort(self) -> bool:
         """Whether it says which effort it needs."""
 
+    @property
+    def goes_by_time(self) -> bool:
+        """Whether it moves by itself, with the clock."""
+
     def start(self, now_ns: int, position: float, velocity: float) -> Reference:
         """Take over from where the reference stands; see ``Column.start``."""
 
@@ -157,6 +161,7 @@ class Setpoint:
     """Hold one position."""
 
     position: float  # [rad]
+    goes_by_time: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not -LARGEST_POSITION <= self.position <= LARGEST_POSITION:
@@ -302,6 +307,12 @@ class Following:
         """Hold a position until there is a motion."""
         self._reference, self._glide_end_ns = Setpoint(position), None
         self.position, self.velocity, self.acceleration = position, 0.0, 0.0
+
+    def end_timed_motion(self) -> None:
+        """Stay where the reference stands if a motion that has begun goes by time."""
+        if self.motion is not None and self._pending is None and self.motion.goes_by_time:
+            self.motion = self._reference = Setpoint(self.position)
+            self._glide_end_ns = None
 
     def take_over(self, stamp_ns: int, position: float, duration: float) -> None:
         """Start from a position again, and glide onto what is followed."""

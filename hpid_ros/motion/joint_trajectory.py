@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
-from typing import NamedTuple, overload
+from typing import ClassVar, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,7 @@ class Column:
     joint: str  # the joint's name
     knots: Sequence[Knot]  # at least one, with strictly increasing times
     stamp_ns: int = 0  # [ns] when the trajectory starts; 0 means with the next state
+    goes_by_time: ClassVar[bool] = True
 
     @cached_property
     def gives_effort(self) -> bool:

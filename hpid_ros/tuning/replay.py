@@ -84,7 +84,7 @@ class AskedReference:
     def __deepcopy__(self, memo: object) -> AskedReference:
         return self  # the same for every branch of a replay
 
-    gives_effort = False
+    gives_effort = goes_by_time = False
 
     def start(self, now_ns: int, position: float, velocity: float) -> AskedReference:
         return self

@@ -454,7 +454,7 @@ class GoalFollower:
         )
 
     def _restart(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
-        """Abort because the clock went back; what controllers follow starts again there."""
+        """Abort because the clock went back; on a simulated one controllers begin again."""
         back = (self._now() - stamp_ns) / NANOSECONDS
         for joint in self._joints:
             joint.restart()

@@ -780,12 +780,10 @@ static Real fault(State *loop, int64_t stamp_ns)
     return loop->effort;
 }
 
-/* Begin anew after a clock that went back, or be without time after a gap. */
+/* Be without time after a gap, and where the clock was set back. */
 static void interrupt(State *loop, Real since)
 {
-    if (since < 0) {
-        {{ c }}_reset(loop);
-    } else if (since > 0) {
+    if (since != 0) {
         loop->own.is_takeover_due = true;
         if (!loop->own.encoder.has_wrapped) /* it is not known that it ever does */
             loop->own.encoder.has_position = false;

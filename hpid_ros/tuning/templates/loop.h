@@ -196,8 +196,8 @@ void {{ c }}_reset({{ c }}_state *loop);
  * stamp_ns: when the state was measured [ns], on any clock. The time between
  *     samples is the difference of stamps. An equal stamp is a repeat, which
  *     gets the effort in force. So does one that goes back, or is later by more
- *     than state_timeout, as it may be wrong; with the one after it the loop is
- *     reset, or takes over anew, from the effort in force.
+ *     than state_timeout, as it may be wrong; with the one after it the loop
+ *     takes over anew, from the effort in force.
  * reference_position, reference_velocity: where the joint should be [rad], and
  *     how fast [rad/s]. After init, reset and a takeover the loop glides onto
  *     it from where the joint is, in takeover_time.

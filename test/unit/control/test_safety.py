@@ -244,6 +244,24 @@ def test_a_clock_that_really_jumped_goes_on_from_there():
     assert loop.counts.resets == 1
 
 
+@pytest.mark.parametrize(("begun", "ends_at", "damping"), [(0.5, 0.5, 33.0), (1.5, 1.0, 0.0)])
+@pytest.mark.parametrize("back", [0.3, 5.0, 1e6])
+def test_a_wall_clock_that_is_set_back_moves_nothing(begun, ends_at, damping, back):
+    """The load stays carried, a motion stops where it is, and one that is over does not begin."""
+    motion = Column("j", (Knot(0, 0.0, 0.0), Knot(SECOND, 1.0, 0.0)))
+    loop, start_ns, load = loop_on(motion, takeover_time=0.1), 10**16, 5.0
+    position, speed, efforts = 0.0, 0.0, []
+    for k in range(3000):
+        time_ns = start_ns + k * MS - int(back * SECOND) * (k * 1e-3 > begun)
+        efforts.append(loop.step(time_ns, position, speed))
+        speed += (efforts[-1] - load) * 1e-3
+        position += speed * 1e-3
+    assert (loop.counts.resets, loop.counts.takeovers) == (1, 1)
+    assert loop.reference == (pytest.approx(ends_at, abs=2e-3), 0.0)
+    assert position == pytest.approx(ends_at, abs=0.05)
+    assert largest_change(*efforts) < 0.5 + damping
+
+
 @pytest.mark.parametrize("source", ["measured", *WITHOUT_VELOCITIES])
 def test_velocities_that_nobody_uses_may_be_nan(source):
     """As those of a joint_state_broadcaster are that has none."""
