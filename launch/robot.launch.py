@@ -8,7 +8,9 @@ Where robot_state_publisher is installed it runs, too, so that RViz and Foxglove
 Two robots side by side are two launches with a namespace each.
 """
 
+import atexit
 import os
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -79,6 +81,7 @@ def nodes(context):
         )
     namespace = value["namespace"].strip("/")
     folder = Path(tempfile.mkdtemp(prefix="hpid_ros_"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     settings = experiment.controllers[label]
     controllers, bridge = map(str, write_run_files(folder, experiment, settings))
     is_shown = is_installed(STATE_PUBLISHER)
