@@ -61,8 +61,15 @@ def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
     wish = RelayWish(effort=0.5, cycles=30)
     planned = planned_relay(bounds, gains.d / gains.p, 0.001, wish)
 
+    harness.commands.clear()
+
+    def has_switched():
+        efforts = [each.effort[0] for each in harness.commands]
+        return np.sum(np.diff(efforts) > wish.effort) > 6
+
     def told(event, seconds):
-        if event == "at" and seconds > 3.0:
+        if event == "at":
+            harness.wait(has_switched, what="some cycles")
             raise KeyboardInterrupt
 
     ending = carry_out_relay(planned, controller, graph, tmp_path / "bag", "joint_states", told)

