@@ -16,13 +16,7 @@ from weakref import WeakKeyDictionary
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSPolicyKind,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -55,44 +49,31 @@ _BEHIND_AT_MOST = 4000  # messages that a reliable subscriber may fall behind
 _STATES_AT_ONCE = 5  # that a controller may fall behind before it forgets the oldest
 _COMMANDS_AT_ONCE = 256  # joints that may answer one state before the bridge has looked
 
+# What a profile leaves out is as rmw has it: the last ones are kept, reliable and volatile.
 
-def _profile(reliability: ReliabilityPolicy, depth: int) -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=reliability,
-        durability=DurabilityPolicy.VOLATILE,
-    )
-
-
-OFFERED = _profile(ReliabilityPolicy.RELIABLE, _BEHIND_AT_MOST)
+OFFERED = QoSProfile(depth=_BEHIND_AT_MOST)
 """States and commands, as they are published."""
 
-NEWEST_COMMAND = _profile(ReliabilityPolicy.RELIABLE, 1)
+NEWEST_COMMAND = QoSProfile(depth=1)
 """Commands for a driver, as they are published: what is sent again after a loss is the newest.
 
 It matches the subscribers of ros2_control (best effort), of Isaac Sim and of ros_gz_bridge (both
 reliable and volatile).
 """
 
-NEWEST_STATES = _profile(ReliabilityPolicy.BEST_EFFORT, _STATES_AT_ONCE)
+NEWEST_STATES = QoSProfile(depth=_STATES_AT_ONCE, reliability=ReliabilityPolicy.BEST_EFFORT)
 """States, as a controller takes them: a hiccup is caught up, anything older is the past."""
 
-NEWEST_REFERENCE = _profile(ReliabilityPolicy.BEST_EFFORT, 1)
+NEWEST_REFERENCE = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """References of controllers: who has fallen behind looks at none that is old."""
 
-ALL_COMMANDS = _profile(ReliabilityPolicy.BEST_EFFORT, _COMMANDS_AT_ONCE)
+ALL_COMMANDS = QoSProfile(depth=_COMMANDS_AT_ONCE, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Commands, as the bridge takes them."""
 
-LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The reference: subscribers that come later get it too."""
 
-RARE = _profile(ReliabilityPolicy.RELIABLE, 10)
+RARE = QoSProfile(depth=10)
 """Messages that come rarely: setpoints, diagnostics, poses."""
 
 
