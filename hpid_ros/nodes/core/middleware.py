@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from threading import Lock
 from weakref import WeakKeyDictionary
 
 from rclpy.clock import Clock, ClockType
@@ -43,6 +44,20 @@ def steady_timer(
     own = Clock(clock_type=ClockType.STEADY_TIME)
     clock = own if is_rearmed else _CLOCKS.setdefault(node, own)
     return node.create_timer(period, callback, clock=clock)
+
+
+_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
+
+
+@contextlib.contextmanager
+def held(lock: Lock) -> Iterator[bool]:
+    """Hold a lock while a block runs, which gets False where its holder is stuck."""
+    is_held = lock.acquire(timeout=_LOCK_WITHIN)
+    try:
+        yield is_held
+    finally:
+        if is_held:
+            lock.release()
 
 
 _BEHIND_AT_MOST = 4000  # messages that a reliable subscriber may fall behind

@@ -33,7 +33,7 @@ from hpid_ros.base.errors import ClaimError
 from hpid_ros.base.names import claim_topic
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.nodes.core.executor import ClosingNode
-from hpid_ros.nodes.core.middleware import LATCHED, has_shared_memory_alone, steady_timer
+from hpid_ros.nodes.core.middleware import LATCHED, has_shared_memory_alone, held, steady_timer
 from hpid_ros.nodes.core.parameters import read
 
 _PREFIX = "hpid_ros/"
@@ -173,7 +173,6 @@ class ReceivedClaims:
 
 _BEAT = 0.25  # [s]; six of them are a lease
 _OVERDUE = 0.75  # [s] since the last message, after which the supervisor's thread publishes
-_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 _SETTLES_WITHIN = 0.5  # [s]; a holder on a network that is found at all has answered by then
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while a host sleeps
 _STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win, or none
@@ -336,9 +335,11 @@ class JointClaim:
 
         On any thread: a node that gives efforts while its executor is stuck holds its joint.
         """
-        if not self._is_claiming or not self._publishing.acquire(timeout=_LOCK_WITHIN):
-            return _OVERDUE if self._is_claiming else math.inf
-        try:
+        if not self._is_claiming:
+            return math.inf
+        with held(self._publishing) as is_held:
+            if not is_held:
+                return _OVERDUE
             mine, silence = self._mine, _now() - self._published_at
             if mine is None or mine.state is not ClaimState.HELD or silence > LEASE:
                 return math.inf  # not held, or held no more: the executor starts again
@@ -346,8 +347,6 @@ class JointClaim:
                 return _OVERDUE - silence
             self._publish()
             return _OVERDUE
-        finally:
-            self._publishing.release()
 
     def _become(self, state: ClaimState) -> None:
         """Go over to another state, and publish it."""

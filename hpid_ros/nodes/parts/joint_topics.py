@@ -23,13 +23,13 @@ from hpid_ros.nodes.core.middleware import (
     NEWEST_COMMAND,
     NEWEST_STATES,
     OFFERED,
+    held,
     overridable,
     subscribe_raw,
 )
 
 STATES = "joint_states"
 _COMMANDS = "joint_commands"
-_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 
 TakeState = Callable[[bytes], None]
 """Is called with each state as it came, in CDR."""
@@ -179,12 +179,11 @@ class SharedTopics:
         if self._collector == threading.get_ident():
             with self._lock:
                 self._answers[joint] = stamp_ns, effort
-        elif self._lock.acquire(timeout=_LOCK_WITHIN):
-            try:
+            return
+        with held(self._lock) as is_held:
+            if is_held:
                 self._answers.pop(joint, None)
                 self._publish((joint,), stamp_ns, (effort,))
-            finally:
-                self._lock.release()
 
     def _publish_answers(self) -> None:
         """Publish what was collected, in the order of the sinks."""
@@ -260,27 +259,20 @@ class Commands:
             return stamp_ns is not None
 
     def fall_back(self, effort: float, is_due: Callable[[], bool]) -> None:
-        if not self._lock.acquire(timeout=_LOCK_WITHIN):
-            return
-        try:
-            if self._stamp_ns is not None and not self._is_cut and is_due():
+        with held(self._lock) as is_held:
+            if is_held and self._stamp_ns is not None and not self._is_cut and is_due():
                 self._send(unsolicited_stamp(self._stamp_ns), effort)
-        finally:
-            self._lock.release()
 
     def cut(self) -> None:
         """Publish a zero, after a command that is under way, and nothing else."""
         if self._is_zero:
             return
         self._is_cut = True
-        if not self._lock.acquire(timeout=_LOCK_WITHIN):
-            return
-        try:
-            if self._stamp_ns is not None:
-                self._send(unsolicited_stamp(self._stamp_ns), 0.0)
-            self._is_zero = True
-        finally:
-            self._lock.release()
+        with held(self._lock) as is_held:
+            if is_held:
+                if self._stamp_ns is not None:
+                    self._send(unsolicited_stamp(self._stamp_ns), 0.0)
+                self._is_zero = True
 
     def restore(self) -> None:
         self.cuts += 1  # what was begun until now is from before

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -25,7 +24,14 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.reports import DynamicJointStateTemplate, MultiArrayTemplate
 from hpid_ros.nodes.core.executor import ClosingNode
-from hpid_ros.nodes.core.middleware import LATCHED, NEWEST_COMMAND, RARE, overridable, steady_timer
+from hpid_ros.nodes.core.middleware import (
+    LATCHED,
+    NEWEST_COMMAND,
+    RARE,
+    held,
+    overridable,
+    steady_timer,
+)
 from hpid_ros.nodes.core.rclpy_internals import MatchCounter
 from hpid_ros.nodes.parts.joint_topics import Sink
 from hpid_ros.nodes.parts.merger import CommandMerger, Merged, MergerSettings, Receiver
@@ -322,7 +328,6 @@ def _from_diagnostics(
             )
 
 
-_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 _BURST = 10  # zeros at once, where none may follow
 _SHORTEST_WAIT_NS = 20_000  # of the timer
 _CLOSE_ENOUGH = 0.05  # of two waits, for which the timer stays as it is
@@ -331,7 +336,8 @@ _CLOSE_ENOUGH = 0.05  # of two waits, for which the timer stays as it is
 class MergedStream:
     """A merger with its clock, its timer and its output.
 
-    What is sent is whole and in the order in which it was merged, whichever thread sends it.
+    What is sent is whole and in the order in which it was merged, whichever thread sends it. Where
+    one is stuck with the lock, the supervisor's does without: its efforts are the safe ones.
     """
 
     def __init__(
@@ -383,7 +389,7 @@ class MergedStream:
         if merger is None:
             return
         now_ns = time.perf_counter_ns()
-        with self._sending():
+        with held(self._lock):
             merged = merger.take(joint, stamp_ns, effort, now_ns) or merger.flush(now_ns)
             self._send(merged, merger, now_ns)
 
@@ -403,7 +409,7 @@ class MergedStream:
             self._changed(merger)
 
     def zero(self, *, is_last: bool = False) -> bool:
-        with self._sending():
+        with held(self._lock):
             return self.output.zero(is_last=is_last)
 
     def _send(self, merged: Merged | None, merger: CommandMerger, now_ns: int) -> None:
@@ -442,16 +448,6 @@ class MergedStream:
             self._send(merger.look(now_ns), merger, now_ns)
         self._arm(merger, now_ns)
 
-    @contextlib.contextmanager
-    def _sending(self) -> Iterator[None]:
-        """Hold the lock, or do without where its holder is stuck."""
-        is_locked = self._lock.acquire(timeout=_LOCK_WITHIN)
-        try:
-            yield
-        finally:
-            if is_locked:
-                self._lock.release()
-
     # What follows is called on the supervisor's thread, also while a callback does not return.
 
     def check(self) -> float:
@@ -460,7 +456,7 @@ class MergedStream:
         if merger is None:
             return math.inf
         now_ns = time.perf_counter_ns()
-        with self._sending():
+        with held(self._lock):
             silences = merger.silences
             self._send(merger.look(now_ns), merger, now_ns)
             has_changed = merger.silences > silences
@@ -479,6 +475,6 @@ class MergedStream:
         """Merge again; the joints come back from zero."""
         merger = self.merger
         if merger is not None:
-            with self._sending():
+            with held(self._lock):
                 merger.supersede(0.0, time.perf_counter_ns())
         self._is_cut = False
