@@ -20,7 +20,7 @@ from hpid_ros.control.settings import LARGEST_EFFORT, LONGEST_TIMEOUT
 from hpid_ros.messages.joint_state import EffortReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.middleware import ALL_COMMANDS, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.middleware import ALL_COMMANDS, full_name, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.parameters import read, read_one
 from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.rclpy_internals import given_parameters
@@ -491,10 +491,10 @@ class JointCommandMerger(ManagedNode):
         """Return the other nodes that publish the merged commands."""
         own = self.get_fully_qualified_name()
         infos = self.get_publishers_info_by_topic(self._output.publisher.topic_name)
-        names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
+        names = sorted(map(full_name, infos))
         if own in names:
             names.remove(own)
-        return sorted(names)
+        return names
 
     def stop_now(self) -> None:
         """Send a zero for every joint, if that has not been done."""

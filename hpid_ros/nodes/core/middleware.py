@@ -21,6 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.files import ResourceError, find_resource
@@ -111,6 +112,11 @@ def subscribe_raw(
     return node.create_subscription(
         JointState, topic, callback, profile, raw=True, qos_overriding_options=overridable()
     )
+
+
+def full_name(endpoint: TopicEndpointInfo) -> str:
+    """Return the full name of the node that has a publisher or a subscription."""
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
 def load_profile() -> None:

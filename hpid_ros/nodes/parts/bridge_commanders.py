@@ -11,6 +11,7 @@ from typing import Any
 from rclpy.node import Node
 
 from hpid_ros.base.names import controller_name
+from hpid_ros.nodes.core.middleware import full_name
 from hpid_ros.nodes.parts.joint_topics import node_of
 from hpid_ros.nodes.parts.merger import JointCounts, is_by_another
 from hpid_ros.simulation.lockstep import AnswerCounts, FollowedSender
@@ -175,12 +176,9 @@ class Commanders:
             return node_of(sender)
         others = {controller_name(each) for each in self._reported if each != joint}
         known = {self._followed[joint].sender, self._followed[joint].other} - {None, ""}
-        rest = [name for name in self._publishers() if name.rpartition("/")[2] not in others]
+        names = sorted(map(full_name, self._node.get_publishers_info_by_topic(self._topic)))
+        rest = [name for name in names if name.rpartition("/")[2] not in others]
         for name in map(node_of, filter(None, known)):
             if name in rest:
                 rest.remove(name)
         return " and ".join(rest) or "a publisher that the graph does not know"
-
-    def _publishers(self) -> list[str]:
-        infos = self._node.get_publishers_info_by_topic(self._topic)
-        return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)

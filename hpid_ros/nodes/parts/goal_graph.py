@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 from rclpy.duration import Duration
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -20,6 +21,7 @@ from hpid_ros.nodes.core.middleware import (
     LATCHED,
     NEWEST_REFERENCE,
     NEWEST_STATES,
+    full_name,
     overridable,
     steady_timer,
     subscribe_raw,
@@ -92,18 +94,16 @@ class GroupTopics:
 
     def subscribers(self) -> set[str]:
         """Return full names of the other nodes that subscribe to trajectories."""
-        return self._others(self._node.get_subscriptions_info_by_topic)
+        topic = self._publisher.topic_name
+        return self._others(self._node.get_subscriptions_info_by_topic(topic))
 
     def rivals(self) -> set[str]:
         """Return full names of the other nodes that may publish trajectories."""
-        return self._others(self._node.get_publishers_info_by_topic)
+        topic = self._publisher.topic_name
+        return self._others(self._node.get_publishers_info_by_topic(topic))
 
-    def _others(self, infos: Callable[..., Sequence[object]]) -> set[str]:
-        names = {
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"  # type: ignore[attr-defined]
-            for info in infos(self._publisher.topic_name)
-        }
-        return names - {self._node.get_fully_qualified_name()}
+    def _others(self, endpoints: Iterable[TopicEndpointInfo]) -> set[str]:
+        return set(map(full_name, endpoints)) - {self._node.get_fully_qualified_name()}
 
     def _on_trajectory(self, raw: bytes) -> None:
         if raw in self._own or not self._follower.is_active:

@@ -28,6 +28,7 @@ from hpid_ros.nodes.core.middleware import (
     LATCHED,
     NEWEST_COMMAND,
     RARE,
+    full_name,
     held,
     overridable,
     steady_timer,
@@ -250,7 +251,7 @@ class ReceiverWatch:
         found, nameless = set(), {}
         for info in self._node.get_subscriptions_info_by_topic(self._output.publisher.topic_name):
             endpoint = bytes(info.endpoint_gid)
-            if not wanted or wanted == f"{info.node_namespace.rstrip('/')}/{info.node_name}":
+            if not wanted or wanted == full_name(info):
                 found.add(endpoint)
             elif info.node_name == _NAMELESS:
                 nameless[endpoint] = self._nameless.get(endpoint, now)
