@@ -203,11 +203,9 @@ def encode_trajectory(
 
 
 def encode_joint_trajectory(trajectory: JointTrajectory) -> bytes:
-    """Serialise a trajectory, without its efforts."""
     points, names = trajectory.points, trajectory.joint_names
     none = (np.nan,) * len(names)
-    arrays = [np.array([point[k] or none for point in points], dtype=float) for k in (1, 2, 3)]
-    arrays.append(np.full_like(arrays[0], np.nan))
+    arrays = [np.array([point[k] or none for point in points], float) for k in range(1, 5)]
     times_ns = np.array([point.time_from_start_ns for point in points])
     return encode_trajectory(trajectory.stamp_ns, names, times_ns, arrays)
 

@@ -13,13 +13,14 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
+from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.errors import MessageError, SettingError, TrajectoryError
 from hpid_ros.base.files import find_resource
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.messages.joint_state import decode_joint_state
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.motion.references import planned_reference
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
@@ -27,7 +28,6 @@ from hpid_ros.nodes.core.middleware import LATCHED, NEWEST_STATES, steady_timer,
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.goals import LEAD_NS
-from hpid_ros.nodes.parts.references import to_message
 from hpid_ros.robot.description import RobotDescription
 
 _LOOK_PERIOD = 0.02  # [s]
@@ -66,9 +66,7 @@ class TrajectoryPublisher(executor.ClosingNode):
         self._start_ns: int | None = None
         self._looks_left = _LOOKS
         self._is_published = self._is_under_way = False
-        self._publisher = self.create_publisher(
-            JointTrajectoryMessage, "joint_trajectory", LATCHED
-        )
+        self._publisher = self.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
         self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
         self._status = StatusPipe(self)
         self._look = steady_timer(self, _LOOK_PERIOD, self._publish_when_states_are_heard)
@@ -88,7 +86,7 @@ class TrajectoryPublisher(executor.ClosingNode):
         self._look.cancel()
         self._is_published = True
         if self._newest_ns is None:
-            self._publisher.publish(to_message(self._trajectory))
+            self._publisher.publish(encode_joint_trajectory(self._trajectory))
         else:
             self._begin(self._newest_ns + LEAD_NS)
         points, joints = len(self._trajectory.points), len(self._trajectory.joint_names)
@@ -98,7 +96,7 @@ class TrajectoryPublisher(executor.ClosingNode):
     def _begin(self, start_ns: int) -> None:
         """Publish when the motion begins, and listen no more."""
         self._is_under_way = True
-        self._publisher.publish(to_message(self._trajectory.started(start_ns)))
+        self._publisher.publish(encode_joint_trajectory(self._trajectory.started(start_ns)))
         self._status.send("under way", start_ns=start_ns)
         # Not from its own callback; what paces the robot has one subscriber less to serve.
         self._leaving = steady_timer(self, 0.0, self._leave_states)

@@ -18,9 +18,9 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.motion import minimum_jerk
 from hpid_ros.nodes.core.middleware import LATCHED, RARE
-from hpid_ros.nodes.parts.references import to_message
 from hpid_ros.robot.description import RobotDescription
 
 MS = 1_000_000
@@ -88,7 +88,7 @@ CHANGES = [  # that they make no jump is the loop's: test_safety_loop.py
 def test_a_node_that_is_retuned_in_motion_does_what_its_loop_does(harness):
     motion = minimum_jerk([0.0, 1.0, 2.0], {"elbow": [0.0, 0.4, -0.4]})
     publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
-    publisher.publish(to_message(motion))
+    publisher.publish(encode_joint_trajectory(motion))
     harness.start_controller(**VALUES, wait_for_reference=True)
     values, loop = dict(VALUES), pure_loop(**VALUES)
     loop.follow(motion.column("elbow"))
@@ -186,7 +186,7 @@ def test_the_robots_stops_and_velocity_limit_hold(harness):
 def test_trajectory_and_setpoint_reach_the_loop(harness):
     trajectory = minimum_jerk([0.0, 1.0], {"wrist": [0.0, 9.0], "elbow": [0.5, 1.5]})
     publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
-    publisher.publish(to_message(trajectory))
+    publisher.publish(encode_joint_trajectory(trajectory))
     harness.start_controller(law="pid", wait_for_reference=True, **GAINS)
     twin = pure_loop(law="pid", **GAINS)
     twin.follow(trajectory.column("elbow"))

@@ -4,16 +4,16 @@ import itertools
 
 import pytest
 from harness.graph import ros_arguments
-from harness.trajectories import from_message
+from harness.trajectories import column_from_bytes, from_message
 from hypothesis import given
 from hypothesis import strategies as st
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint, minimum_jerk
 from hpid_ros.nodes.core.middleware import LATCHED
-from hpid_ros.nodes.parts.references import to_message
 
 MS = 1_000_000
 
@@ -43,7 +43,7 @@ def motions(draw):
 def test_taking_the_started_copy_over_changes_no_bit_of_the_reference(motion, later, elsewhere):
     trajectory, start_ns, taken_ns = motion
     reference = trajectory.column("elbow").start(start_ns, 0.25)
-    copy = from_message(to_message(trajectory.started(start_ns))).column("elbow")
+    copy = column_from_bytes(encode_joint_trajectory(trajectory.started(start_ns)), "elbow")
     again = copy.start(taken_ns, elsewhere)
     for stamp_ns in (taken_ns, *(taken_ns + each for each in later)):
         assert again.sample(stamp_ns) == reference.sample(stamp_ns)

@@ -9,10 +9,11 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.motion import minimum_jerk
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, LATCHED, OFFERED, RARE
 from hpid_ros.nodes.parts.bridge_commanders import HeldCommands
-from hpid_ros.nodes.parts.references import TrajectorySubscriptions, to_message
+from hpid_ros.nodes.parts.references import TrajectorySubscriptions
 
 MS = 1_000_000
 
@@ -97,7 +98,8 @@ def test_trajectories_come_from_volatile_and_latched_publishers(harness, profile
     harness.ask(0, 0.5)
     stamps = iter(range(MS, 10_000 * MS, MS))
     for goal in (1.5, 1.5, 0.5):  # the same one a second time is meant, too
-        publisher.publish(to_message(minimum_jerk([0.0, 0.002], {"elbow": [0.5, goal]})))
+        motion = minimum_jerk([0.0, 0.002], {"elbow": [0.5, goal]})
+        publisher.publish(encode_joint_trajectory(motion))
         at_goal = 10.0 * (goal - 0.5)
         harness.wait(
             lambda wanted=at_goal: abs(harness.ask(next(stamps), 0.5) - wanted) < 1e-6,

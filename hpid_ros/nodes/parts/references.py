@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
-from builtin_interfaces.msg import Duration, Time
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
-from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
-from trajectory_msgs.msg import JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.base.records import Record, quantity
@@ -34,7 +32,6 @@ from hpid_ros.messages.joint_trajectory import (
 from hpid_ros.messages.reports import decode_numbers
 from hpid_ros.motion.joint_trajectory import (
     Column,
-    JointTrajectory,
     PointArrays,
     column_from_arrays,
 )
@@ -58,24 +55,6 @@ def column_of(decoded: TrajectoryArrays, joint: str) -> Column | None:
     )
 
 
-def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:
-    seconds, nanoseconds = divmod(trajectory.stamp_ns, NANOSECONDS)
-    message = JointTrajectoryMessage(joint_names=list(trajectory.joint_names))
-    message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
-    for point in trajectory.points:
-        seconds, nanoseconds = divmod(point.time_from_start_ns, NANOSECONDS)
-        message.points.append(
-            JointTrajectoryPoint(
-                positions=point.positions,
-                velocities=point.velocities,
-                accelerations=point.accelerations,
-                effort=point.efforts,
-                time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
-            )
-        )
-    return message
-
-
 _COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
 
 
@@ -94,7 +73,7 @@ class TrajectorySubscriptions:
         self._taken_at = -math.inf
         # Only the contract's profile may be overridden: both would have the same parameters.
         latched = node.create_subscription(
-            JointTrajectoryMessage,
+            JointTrajectory,
             "joint_trajectory",
             partial(self._on_message, True),
             LATCHED,
@@ -104,7 +83,7 @@ class TrajectorySubscriptions:
             qos_overriding_options=overridable(),
         )
         volatile = node.create_subscription(
-            JointTrajectoryMessage,
+            JointTrajectory,
             "joint_trajectory",
             partial(self._on_message, False),
             RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
