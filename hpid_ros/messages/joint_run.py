@@ -552,10 +552,9 @@ class JointRun:
 
     def _trajectories(self) -> Iterator[tuple[str, ReferenceEvent]]:
         """Yield the trajectories that concern the joint, with kind and topic."""
-        for log_time_ns, place, topic, places, column in self._recording.trajectories:
-            at = places.get(self._joint)
-            if at is not None:
-                event = ReferenceEvent(log_time_ns, place, column(self._joint, at))
+        for log_time_ns, place, topic, arrays in self._recording.trajectories:
+            if self._joint in arrays.names:
+                event = ReferenceEvent(log_time_ns, place, arrays.column(self._joint))
                 yield f"trajectory {topic}", event
 
     def _setpoints(self) -> tuple[str, JointSamples] | None:

@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer, require_nanoseconds
-from hpid_ros.motion.joint_trajectory import JointTrajectory, Point
+from hpid_ros.motion.joint_trajectory import (
+    Column,
+    JointTrajectory,
+    Point,
+    PointArrays,
+    checked_column,
+    require_arrays,
+)
 
 _MOST_NAMES = 1_000  # that are looked at before the rest is
 MOST_POINTS = 50_000
@@ -41,10 +48,7 @@ class TrajectoryArrays(NamedTuple):
     stamp_ns: int  # [ns] header.stamp
     names: tuple[str, ...]  # joint names
     times_ns: NDArray[np.int64]  # [ns] time from start of each point, int64, shape (points,)
-    positions: Numbers  # [rad] shape (points, joints)
-    velocities: Numbers  # [rad/s] likewise
-    accelerations: Numbers  # [rad/s^2] likewise
-    efforts: Numbers  # [N m] likewise
+    arrays: PointArrays  # the numbers of the points, each of shape (points, joints)
     # numbers that each point has in each of these arrays, shape (points, 4)
     lengths: NDArray[np.int64]
     body: Numbers  # the message behind its encapsulation header, as doubles
@@ -57,6 +61,17 @@ class TrajectoryArrays(NamedTuple):
             for start, length in zip(self.starts[index], self.lengths[index], strict=True)
         )
         return int(self.times_ns[index]), p, v, a, e
+
+    def require(self) -> None:
+        """Refuse what ``JointTrajectory`` refuses."""
+        require_arrays(
+            *(self.names, self.stamp_ns, self.times_ns, self.arrays, self.lengths, self.point)
+        )
+
+    def column(self, joint: str) -> Column:
+        """Return one joint's column of what :meth:`require` let pass."""
+        at = self.names.index(joint)
+        return checked_column(joint, at, self.stamp_ns, self.times_ns, self.arrays)
 
 
 def named_joints(raw: bytes) -> tuple[str, ...] | None:
@@ -110,9 +125,8 @@ def decode_trajectory(
         if names:
             values[rows] = body[starts[rows, k, np.newaxis] + np.arange(len(names))]
         arrays.append(values)
-    p, v, a, e = arrays
     stamp_ns = seconds * NANOSECONDS + nanoseconds
-    return TrajectoryArrays(stamp_ns, names, times_ns, p, v, a, e, lengths, body, starts)
+    return TrajectoryArrays(stamp_ns, names, times_ns, PointArrays(*arrays), lengths, body, starts)
 
 
 def _views(raw: bytes | bytearray, order: str) -> tuple[NDArray[np.uint32], Numbers]:

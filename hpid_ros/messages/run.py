@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from hpid_ros.messages.columns import (
 )
 from hpid_ros.messages.joint_run import JointRun, Window
 from hpid_ros.messages.joint_state import JointReader
-from hpid_ros.messages.joint_trajectory import decode_trajectory
+from hpid_ros.messages.joint_trajectory import TrajectoryArrays, decode_trajectory
 from hpid_ros.messages.selection import BagSelection, TopicChoice, choose_topics
 from hpid_ros.messages.series import (
     DataQuality,
@@ -34,7 +34,6 @@ from hpid_ros.messages.storage import (
     no_progress,
     time_stood_still,
 )
-from hpid_ros.motion.joint_trajectory import Column, PointArrays, checked_column, require_arrays
 
 _SHOWN_JOINTS = 3
 
@@ -245,19 +244,15 @@ class LoggedTrajectory(NamedTuple):
     log_time_ns: int  # [ns] when it was recorded
     place: int  # its place in the files
     topic: str  # where it was published
-    places: Mapping[str, int]  # place of each joint among its names
-    column: Callable[[str, int], Column]  # gives the column of a joint and its place
+    arrays: TrajectoryArrays  # what it says, checked
 
 
-def decoded_trajectory(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, int], Column]]:
-    """Return the joints of a serialised trajectory and what gives their columns."""
+def decoded_trajectory(raw: bytes) -> TrajectoryArrays:
+    """Return a serialised trajectory, checked."""
     # A recording may hold any number of points: reading it need not keep pace with a robot.
     decoded = decode_trajectory(raw, len(raw), len(raw))
-    arrays = PointArrays(*decoded[3:7])
-    times_ns, stamp_ns = decoded.times_ns, decoded.stamp_ns
-    require_arrays(decoded.names, stamp_ns, times_ns, arrays, decoded.lengths, decoded.point)
-    places = {name: index for index, name in enumerate(decoded.names)}
-    return places, lambda joint, at: checked_column(joint, at, stamp_ns, times_ns, arrays)
+    decoded.require()
+    return decoded
 
 
 class RecordedRun:
@@ -322,7 +317,7 @@ class RecordedRun:
             except MessageError as error:
                 # Whatever was followed from here on is unknown.
                 raise BagError(f"{batch.topic} at {log_time_ns} ns: {error}") from error
-            self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, *decoded))
+            self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, decoded))
 
     def has_efforts(self) -> bool:
         """Return whether any command carries a joint's effort."""
@@ -352,5 +347,5 @@ class RecordedRun:
         for stream in (*self.floats.values(), *self.setpoints.values()):
             concerned.update(stream.joints())
         for logged in self.trajectories:
-            concerned.update(logged.places)
+            concerned.update(logged.arrays.names)
         return concerned

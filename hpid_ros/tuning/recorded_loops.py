@@ -343,14 +343,14 @@ class _Collector:
     def _take_trajectories(self, batch: TopicBatch) -> None:
         for log_time_ns, place, raw in _messages(batch):
             try:
-                places, column = decoded_trajectory(raw)
+                trajectory = decoded_trajectory(raw)
             except HpidError as error:
                 self._notes[f"a trajectory was left out, as controllers refuse it: {error}"] = None
                 continue
             for name, joint in self._joints.items():
-                if name in places:
+                if name in trajectory.names:
                     with self._leaving_out("a trajectory was left out"):
-                        motion = following(column(name, places[name]))
+                        motion = following(trajectory.column(name))
                         joint.motions.append(
                             Instruction(log_time_ns, place, motion, "a trajectory")
                         )

@@ -23,14 +23,7 @@ from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.settings import StateClock, Value
 from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS, decode_trajectory
-from hpid_ros.motion.joint_trajectory import (
-    Column,
-    Integers,
-    Knot,
-    PointArrays,
-    checked_column,
-    require_arrays,
-)
+from hpid_ros.motion.joint_trajectory import Column, Integers, Knot, PointArrays, checked_column
 
 
 class ResultCode(IntEnum):
@@ -327,16 +320,16 @@ class GoalRequest:
         try:
             # One point may be put before those of a goal.
             came = decode_trajectory(raw, MOST_POINTS - 1, MOST_MIXED_POINTS - 1)
-            names, arrays = came.names, PointArrays(*came[3:7])
+            names = came.names
             if not names or len(set(names)) != len(names):
                 line = f"a goal must name each of its joints once, not {list(names)}"
                 raise GoalError(line, ResultCode.INVALID_JOINTS)
-            require_arrays(names, came.stamp_ns, came.times_ns, arrays, came.lengths, came.point)
+            came.require()
         except GoalError:
             raise
         except HpidError as error:
             raise GoalError(str(error)) from None
-        return cls(names, came.stamp_ns, came.times_ns, arrays, *tolerances)
+        return cls(names, came.stamp_ns, came.times_ns, came.arrays, *tolerances)
 
     def require_group(self, settings: GroupSettings) -> Tolerances:
         """Refuse what is not for these joints, and return the tolerances that hold."""

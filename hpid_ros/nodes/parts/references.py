@@ -30,11 +30,7 @@ from hpid_ros.messages.joint_trajectory import (
     named_joints,
 )
 from hpid_ros.messages.reports import decode_numbers
-from hpid_ros.motion.joint_trajectory import (
-    Column,
-    PointArrays,
-    column_from_arrays,
-)
+from hpid_ros.motion.joint_trajectory import Column
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable
 from hpid_ros.nodes.core.parameters import read
@@ -44,15 +40,8 @@ def column_of(decoded: TrajectoryArrays, joint: str) -> Column | None:
     """Check a decoded message and return one joint's column."""
     if joint not in decoded.names:
         return None
-    return column_from_arrays(
-        joint,
-        decoded.names,
-        decoded.stamp_ns,
-        decoded.times_ns,
-        PointArrays(*decoded[3:7]),
-        decoded.lengths,
-        decoded.point,
-    )
+    decoded.require()
+    return decoded.column(joint)
 
 
 _COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
