@@ -383,22 +383,6 @@ class KnotArrays(Sequence[Knot]):
     __hash__ = None  # type: ignore[assignment]
 
 
-def column_from_arrays(
-    joint: str,
-    names: Sequence[str],
-    stamp_ns: int,
-    times_ns: Integers,
-    arrays: PointArrays,
-    lengths: Integers,
-    point: Callable[[int], Point],
-) -> Column:
-    """Return one joint's column; what ``JointTrajectory`` refuses is refused here, too."""
-    require_arrays(names, stamp_ns, times_ns, arrays, lengths, point)
-    if joint not in names:
-        raise TrajectoryError(unknown_name("joint", joint, names))
-    return checked_column(joint, list(names).index(joint), stamp_ns, times_ns, arrays)
-
-
 def require_arrays(
     names: Sequence[str],
     stamp_ns: int,
@@ -407,7 +391,7 @@ def require_arrays(
     lengths: Integers,
     point: Callable[[int], Point],
 ) -> None:
-    """Refuse what ``JointTrajectory`` refuses; the arguments are those of column_from_arrays."""
+    """Refuse what ``JointTrajectory`` refuses; ``point`` gives one as it came."""
     for index in _suspects(len(names), times_ns, arrays, lengths):
         _check_alone(names, stamp_ns, point, index)
     # Two points at most: the joints, the stamp, and that there is a point at all.
