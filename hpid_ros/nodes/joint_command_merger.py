@@ -137,23 +137,18 @@ def read_parameters(node: Node, joints: Sequence[str]) -> MergerOptions:
         timeouts=_by_joint(node, "command_timeouts"),
         fallbacks=_by_joint(node, "fallback_efforts"),
     )
-    _require_usable(options)
-    return options
-
-
-def _require_usable(options: MergerOptions) -> None:
-    if options.controller and options.given.command_interface != ARRAY:
+    if controller and given.command_interface != ARRAY:
         raise SettingError(
-            f"controller is for command_interface {ARRAY}, not for "
-            f"{options.given.command_interface}"
+            f"controller is for command_interface {ARRAY}, not for {given.command_interface}"
         )
-    if options.joints:
-        options.settings(options.joints)
-    elif not options.controller:
+    if order:
+        options.settings(order)  # which refuses what cannot be used
+    elif not controller:
         raise SettingError(
             "the parameter joints must name the joints in their order, or controller a group "
             "controller that has them; both are empty"
         )
+    return options
 
 
 def _by_joint(node: Node, group: str) -> dict[str, float]:

@@ -20,47 +20,23 @@ from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.control.settings import LARGEST_EFFORT, LONGEST_TIMEOUT
 
 
-@dataclass(frozen=True)
-class MergedJoint:
+class MergedJoint(NamedTuple):
     """One joint of a merged command."""
 
-    name: str  # the joint
+    name: str
     timeout: float = 0.1  # [s] it is silent when no usable command has come for longer than this
     fallback: float = 0.0  # [N m] or [N], effort that it is sent while silent
     # whether the merger starts without a command of this joint, at its fallback
     may_be_missing: bool = False
 
-    def __post_init__(self) -> None:
-        if not self.name:
-            raise SettingError("a joint must have a name, not an empty one")
-        if not 0.0 < self.timeout <= LONGEST_TIMEOUT:
-            raise SettingError(
-                f"the timeout of {self.name} must lie in (0, {LONGEST_TIMEOUT:g}] s, "
-                f"not {self.timeout}"
-            )
-        if not abs(self.fallback) <= LARGEST_EFFORT:
-            raise SettingError(
-                f"the fallback of {self.name} must lie in [{-LARGEST_EFFORT:g}, "
-                f"{LARGEST_EFFORT:g}], not {self.fallback}"
-            )
 
-
-@dataclass(frozen=True)
-class MergerSettings:
-    joints: tuple[MergedJoint, ...]  # in the order of the merged command
-    straggler_wait: float = 0.5
+class MergerSettings(NamedTuple):
+    joints: tuple[MergedJoint, ...]  # at least one, each once, in the order of the merged command
+    straggler_wait: float = 0.5  # as part of the states' period, above 0
     # [s] a joint that comes back is faded in from its fallback for so long
     fade_in_time: float = 0.1
-
-    def __post_init__(self) -> None:
-        require_order(joint.name for joint in self.joints)
-        if not 0.0 < self.straggler_wait <= 1.0:
-            raise SettingError(f"straggler_wait must lie in (0, 1], not {self.straggler_wait}")
-        if not (self.fade_in_time >= 0.0 and math.isfinite(self.fade_in_time)):
-            raise SettingError(f"fade_in_time must be 0 s or more, not {self.fade_in_time}")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -89,6 +65,8 @@ def joints_of(
             if name not in names:
                 unknown = unknown_name("joint", name, names)
                 raise SettingError(f"a {what} is given for the {unknown}")
+    if "" in names:
+        raise SettingError("a joint must have a name, not an empty one")
     return tuple(
         MergedJoint(name, timeouts.get(name, timeout), fallbacks.get(name, 0.0), name in fallbacks)
         for name in names
