@@ -234,7 +234,7 @@ class JointController(ManagedNode):
         else:
             self._loop.release()
         if self._model is not None:
-            self._model.reset()
+            self._model.states.reset()
         self._is_listening = False
         self._timing.interrupt()
 
@@ -351,7 +351,7 @@ class JointController(ManagedNode):
             self.get_logger().warning(settings.floor_warning)
         self._loop.retune(settings)
         if self._model is not None:
-            self._model.retune(settings)
+            self._model.states.retune(settings)
         if self._is_listening and self.is_active:
             self._watch_states(settings.timing.state_timeout)
         self._certification.accept(settings)

@@ -271,10 +271,11 @@ class ControllerHealth(Diagnostics):
         """Return a warning when the model could not use a state of the last report."""
         if self._model is None:
             return ""
-        held, self._held = self._held, self._model.held
+        states = self._model.states
+        held, self._held = self._held, states.held
         if self._held > held:
-            return f"model terms are held: {self._model.fault}"
-        if self._model.lacks_efforts and self._loop.effort:
+            return f"model terms are held: {states.last_fault}"
+        if states.lacks_efforts and self._loop.effort:
             return "the efforts of the states are all 0: the model has nothing to go by"
         return ""
 

@@ -14,7 +14,6 @@ from rclpy.parameter import Parameter
 from hpid_ros.base.errors import HpidError, MessageError, SettingError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.settings import (
     LARGEST_EFFORT,
     LOOP_PARAMETERS,
@@ -117,9 +116,9 @@ class ModelCompensation:
     """Lets a loop answer states with the model's term."""
 
     def __init__(self, model: LoopModel, kind: str) -> None:
-        self._compensator = model.compensator
-        self._reader = RobotReader(model.compensator.states.joints)
-        self._kind = kind
+        self._compensator, self._kind = model.compensator, kind
+        self.states = model.compensator.states
+        self._reader = RobotReader(self.states.joints)
 
     def answer(self, loop: JointLoop, sample: JointSample, raw: bytes) -> float:
         """Return the effort that answers a state, in [N m].
@@ -127,45 +126,19 @@ class ModelCompensation:
         A state that the model cannot use is answered with the term of the last one that it
         could, for at most ``state_timeout``; after that the loop gives ``fallback_effort``.
         """
-        return self._compensator.answer(loop, *sample, self._term(sample.stamp_ns, raw))
-
-    def _term(self, stamp_ns: int, raw: bytes) -> ModelTerm | None:
-        """Return the model's term of a state; None when it has none that may be used."""
         try:
             robot = self._reader.read(raw)
         except MessageError as error:
-            return self._compensator.hold(stamp_ns, str(error))
-        return self._compensator.term(stamp_ns, *robot)
-
-    @property
-    def fault(self) -> str:
-        """What was last wrong with a state; empty if nothing was."""
-        return self._compensator.states.last_fault
-
-    @property
-    def lacks_efforts(self) -> bool:
-        """Whether the efforts that the model needs have all been exactly 0 for a while."""
-        return self._compensator.states.lacks_efforts
-
-    @property
-    def held(self) -> int:
-        """States that were answered with the term of an earlier one."""
-        return self._compensator.states.held
-
-    def reset(self) -> None:
-        """Forget the past: the next state is the first one."""
-        self._compensator.reset()
-
-    def retune(self, settings: LoopSettings) -> None:
-        """Find velocities, and hold terms, by other settings of the loop from now on."""
-        self._compensator.states.retune(settings)
+            term = self._compensator.hold(sample.stamp_ns, str(error))
+        else:
+            term = self._compensator.term(sample.stamp_ns, *robot)
+        return self._compensator.answer(loop, *sample, term)
 
     def readings(self) -> Mapping[str, object]:
         """Return what ``/diagnostics`` tells of the model."""
-        states = self._compensator.states
         return {
             "compensation": self._kind,
-            "model terms held": states.held,
-            "states without a model term": states.lost,
-            "last fault of the model": states.last_fault or "none",
+            "model terms held": self.states.held,
+            "states without a model term": self.states.lost,
+            "last fault of the model": self.states.last_fault or "none",
         }
