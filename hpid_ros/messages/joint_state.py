@@ -56,6 +56,12 @@ class Cursor:
         self.offset += size
         return int(value)
 
+    def stamp(self) -> int:
+        """Return the stamp of a header in [ns]."""
+        seconds, nanoseconds = self.scalar("i"), self.scalar("I")
+        require_nanoseconds(nanoseconds)
+        return seconds * NANOSECONDS + nanoseconds
+
     def string(self) -> str:
         length = self.scalar("I")
         self.require(length)
@@ -184,19 +190,8 @@ class JointStateFields(NamedTuple):
 def decode_joint_state(raw: bytes) -> JointStateFields:
     """Decode any serialised JointState, whatever its layout or byte order."""
     cursor = Cursor(raw, "JointState")
-    seconds = cursor.scalar("i")
-    nanoseconds = cursor.scalar("I")
-    require_nanoseconds(nanoseconds)
-    frame_id = cursor.string()
-    names = cursor.strings()
-    return JointStateFields(
-        seconds * NANOSECONDS + nanoseconds,
-        frame_id,
-        names,
-        cursor.doubles(),
-        cursor.doubles(),
-        cursor.doubles(),
-    )
+    head = cursor.stamp(), cursor.string(), cursor.strings()
+    return JointStateFields(*head, cursor.doubles(), cursor.doubles(), cursor.doubles())
 
 
 @dataclass(frozen=True)
@@ -213,7 +208,6 @@ class JointStateLayout:
     position: int  # offset of the first position
     velocity: int  # offset of the first velocity
     effort: int  # offset of the first effort
-    lengths: tuple[int, int, int]  # numbers of positions, velocities and efforts
     # (offset, bytes) of everything that is neither stamp nor double
     fixed: tuple[tuple[int, bytes], ...]
 
@@ -226,10 +220,9 @@ class JointStateLayout:
         cursor.offset = at = NAMES_OFFSET
         cursor.string()
         names = cursor.strings()
-        offsets, lengths, fixed = [], [], []
+        offsets, fixed = [], []
         for _ in range(3):
             length = cursor.scalar("I")
-            lengths.append(length)
             if length:
                 cursor.align(_DOUBLE)
                 fixed.append((at, bytes(raw[at : cursor.offset])))
@@ -239,8 +232,7 @@ class JointStateLayout:
         if at < len(raw):
             fixed.append((at, bytes(raw[at:])))
         position, velocity, effort = offsets
-        counts = (lengths[0], lengths[1], lengths[2])
-        return cls(names, len(raw), position, velocity, effort, counts, tuple(fixed))
+        return cls(names, len(raw), position, velocity, effort, tuple(fixed))
 
     def matches(self, raw: bytes) -> bool:
         """Return whether a message has this layout, byte for byte."""
@@ -281,7 +273,7 @@ class JointStateTemplate:
         self._buffer = bytearray(writer.raw)
         layout = JointStateLayout.of(writer.raw)
         assert layout is not None  # it is little-endian
-        self.layout = layout
+        self._layout = layout
         self._stamp = struct.Struct("<iI")
         self._doubles = struct.Struct(f"<{count}d")
 
@@ -293,7 +285,7 @@ class JointStateTemplate:
         velocity: Sequence[float] = (),
         effort: Sequence[float] = (),
     ) -> bytes:
-        layout, buffer = self.layout, self._buffer
+        layout, buffer = self._layout, self._buffer
         self._stamp.pack_into(buffer, STAMP_OFFSET, *divmod(stamp_ns, NANOSECONDS))
         if layout.position:
             self._doubles.pack_into(buffer, layout.position, *position)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
-from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer, require_nanoseconds
+from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer
 from hpid_ros.motion.joint_trajectory import (
     Column,
     JointTrajectory,
@@ -91,10 +91,7 @@ def decode_trajectory(
     raw: bytes, most_points: int = MOST_POINTS, most_mixed_points: int = MOST_MIXED_POINTS
 ) -> TrajectoryArrays:
     cursor = Cursor(raw, "JointTrajectory")
-    seconds, nanoseconds = cursor.scalar("i"), cursor.scalar("I")
-    require_nanoseconds(nanoseconds)
-    cursor.string()
-    names = cursor.strings()
+    stamp_ns, _, names = cursor.stamp(), cursor.string(), cursor.strings()
     count = cursor.scalar("I")
     if count > most_points:
         raise MessageError(f"a JointTrajectory may have {most_points} points, not {count}")
@@ -125,7 +122,6 @@ def decode_trajectory(
         if names:
             values[rows] = body[starts[rows, k, np.newaxis] + np.arange(len(names))]
         arrays.append(values)
-    stamp_ns = seconds * NANOSECONDS + nanoseconds
     return TrajectoryArrays(stamp_ns, names, times_ns, PointArrays(*arrays), lengths, body, starts)
 
 
