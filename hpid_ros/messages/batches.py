@@ -48,6 +48,11 @@ class TopicBatch(NamedTuple):
         start = int(self.starts[index])
         return self.buffer[start : start + int(self.sizes[index])].tobytes()
 
+    def messages(self) -> Iterator[tuple[int, int, bytes]]:
+        """Yield log time [ns], place and bytes of each message."""
+        times, places = self.log_times_ns.tolist(), self.places.tolist()
+        return zip(times, places, self.raws(), strict=True)
+
     def raws(self) -> Iterator[bytes]:
         return map(self.raw, range(len(self.starts)))
 

@@ -5,7 +5,7 @@ For topics of a few messages; what comes a thousand times a second is read as co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -194,16 +194,13 @@ def parameter_changes(bag: Storage) -> list[ParameterChange]:
     """Return the parameter events of all nodes of a bag, in the order of the log."""
     topics = bag.topics()
     names = frozenset(name for name, each in topics.items() if each.type == PARAMETER_EVENTS)
-    return sorted(_changes(bag, names), key=lambda each: each.place) if names else []
-
-
-def _changes(bag: Storage, names: frozenset[str]) -> Iterator[ParameterChange]:
-    for batch in bag.batches(names):
-        for index, raw in enumerate(batch.raws()):
+    changes = []
+    for batch in bag.batches(names) if names else ():
+        for log_time_ns, place, raw in batch.messages():
             event = read_event(raw)
             if event is not None:
-                place, log_time_ns = int(batch.places[index]), int(batch.log_times_ns[index])
-                yield ParameterChange(place, log_time_ns, *event)
+                changes.append(ParameterChange(place, log_time_ns, *event))
+    return sorted(changes, key=lambda each: each.place)
 
 
 def read_event(raw: bytes) -> ParameterEvent | None:

@@ -307,10 +307,9 @@ class RecordedRun:
                 stream.add(batch)
 
     def _add_trajectories(self, batch: TopicBatch) -> None:
-        for index in range(len(batch.starts)):
-            log_time_ns, place = int(batch.log_times_ns[index]), int(batch.places[index])
+        for log_time_ns, place, raw in batch.messages():
             try:
-                decoded = decoded_trajectory(batch.raw(index))
+                decoded = decoded_trajectory(raw)
             except TrajectoryError as error:
                 self.notes.append(f"a trajectory is left out, as controllers refuse it: {error}")
                 continue

@@ -20,19 +20,16 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpid_ros.base.errors import BagError
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.messages.batches import (
     Advance,
     Allowance,
-    Integers,
     Report,
     TopicBatch,
     TopicInfo,
@@ -45,6 +42,8 @@ from hpid_ros.messages.mcap_file import McapFile
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+_Content = TypeVar("_Content", dict[str, Any], list[Any])
 
 METADATA = "metadata.yaml"
 _KEY = "rosbag2_bagfile_information"
@@ -108,12 +107,7 @@ def missed_entries(missed: Mapping[str, int], stood_still: float) -> dict[str, s
 
 def missed_messages(metadata: Mapping[str, str]) -> dict[str, int]:
     """Return the messages that a bag's recorder missed, by topic; only those that missed some."""
-    try:
-        entry = json.loads(metadata.get(MISSED, "{}"))
-    except (ValueError, RecursionError):
-        return {}
-    if not isinstance(entry, dict):
-        return {}
+    entry = _parsed(metadata, MISSED, dict)
     return {topic: count for topic, count in entry.items() if type(count) is int and count > 0}
 
 
@@ -137,15 +131,16 @@ def slides_entry(slides: Collection[str]) -> dict[str, str]:
 
 def recorded_slides(metadata: Mapping[str, object]) -> frozenset[str]:
     """Return the joints that a bag's recorder knew to slide."""
+    return frozenset(each for each in _parsed(metadata, SLIDES, list) if isinstance(each, str))
+
+
+def _parsed(metadata: Mapping[str, object], name: str, kind: type[_Content]) -> _Content:
+    """Return the content of an entry of JSON; an empty one where there is none of that kind."""
     try:
-        entry = json.loads(str(metadata.get(SLIDES, "[]")))
+        content = json.loads(str(metadata.get(name)))
     except (ValueError, RecursionError):
-        return frozenset()
-    return frozenset(filter(_is_text, entry)) if isinstance(entry, list) else frozenset()
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
+        return kind()
+    return content if isinstance(content, kind) else kind()
 
 
 PARAMETERS = "hpid_ros/controllers"
@@ -319,13 +314,9 @@ class SqliteFile:
         owner, time = (np.array(each, dtype=np.int64) for each in (owners, times))
         whole = batch_of("", blobs, time, place + np.arange(len(kept)))
         for name, numbers in wanted.items():
-            is_own = _is_one_of(owner, numbers)
+            is_own = np.isin(owner, numbers)
             if is_own.any():
                 yield whole.picked(is_own)._replace(topic=name)
-
-
-def _is_one_of(owners: Integers, numbers: Sequence[int]) -> NDArray[np.bool_]:
-    return owners == numbers[0] if len(numbers) == 1 else np.isin(owners, numbers)
 
 
 def _line(error: Exception) -> str:
@@ -579,12 +570,7 @@ class Storage:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

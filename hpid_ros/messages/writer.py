@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, NamedTuple
 
 from hpid_ros.base.errors import BagError, ResultExistsError, unknown_name
@@ -202,12 +201,7 @@ class BagWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         if error is None:
             self.close()
         else:
@@ -336,9 +330,7 @@ def _in_order(batches: Iterable[TopicBatch]) -> Iterator[_Message]:
             part = []
         before = batch.topic
         part.extend(
-            _Message(place, batch.topic, log_time_ns, batch.raw(index))
-            for index, (place, log_time_ns) in enumerate(
-                zip(batch.places.tolist(), batch.log_times_ns.tolist(), strict=True)
-            )
+            _Message(place, batch.topic, log_time_ns, raw)
+            for log_time_ns, place, raw in batch.messages()
         )
     yield from sorted(part)
