@@ -8,7 +8,6 @@ have it, many at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,12 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.base.units import Numbers
 from hpid_ros.messages.batches import Bytes, Integers, TopicBatch
-from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor
-
-Words = NDArray[np.uint64]
-WORD = 8
+from hpid_ros.messages.joint_state import (
+    ENCAPSULATION,
+    WORD,
+    Layout,
+    Walker,
+    Words,
+    joint_state_layout,
+)
 
 
 def gather_words(buffer: Bytes, starts: Integers, words: int) -> Words:
@@ -35,46 +38,6 @@ def gather_words(buffer: Bytes, starts: Integers, words: int) -> Words:
     return rows.view("<u8").reshape(len(starts), words)
 
 
-_STAMP = 8
-
-
-class Doubles(NamedTuple):
-    """A sequence of doubles in a message."""
-
-    offset: int  # byte of the first, from the start of the message
-    length: int  # how many there are
-
-
-class Walker(Cursor):
-    """Passes over stamps and doubles, whose bytes differ between messages of one layout."""
-
-    def __init__(self, raw: bytes, kind: str) -> None:
-        super().__init__(raw, kind)
-        self.variable: list[tuple[int, int]] = []
-
-    def time(self) -> int:
-        """Pass a ``builtin_interfaces`` Time or Duration; return its offset."""
-        return self._pass(4, _STAMP)
-
-    def array(self) -> Doubles:
-        return self.fixed_array(self.scalar("I"))
-
-    def fixed_array(self, count: int) -> Doubles:
-        return Doubles(self._pass(8, 8 * count) if count else self.offset, count)
-
-    def is_at_end(self) -> bool:
-        """Return whether only padding is left."""
-        return len(self.raw) - self.offset < 4
-
-    def _pass(self, alignment: int, size: int) -> int:
-        self.align(alignment)
-        self.require(size)
-        begin = self.offset
-        self.variable.append((begin, size))
-        self.offset += size
-        return begin
-
-
 JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT64 = "std_msgs/msg/Float64"
 FLOAT64_MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
@@ -82,57 +45,10 @@ CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """Where the numbers of a message lie. Rows begin :data:`ENCAPSULATION` bytes before it."""
-
-    size: int  # bytes of a message
-    names: tuple[str, ...]  # joint names; empty if the type carries none
-    order: str  # byte order, "<" or ">"
-    stamp: int | None  # offset of the header's stamp; None if the type has none
-    fields: Mapping[str, Doubles]  # doubles by field
-    variable: tuple[tuple[int, int], ...]  # (offset, length) of the bytes that may differ
-
-    @cached_property
-    def mask(self) -> Words:
-        """Bits of a row that all messages of the layout share, (words,)."""
-        mask = np.zeros(-(-(self.size + ENCAPSULATION) // WORD) * WORD, dtype=np.uint8)
-        mask[ENCAPSULATION : ENCAPSULATION + self.size] = 0xFF
-        for offset, length in self.variable:
-            mask[ENCAPSULATION + offset : ENCAPSULATION + offset + length] = 0
-        return mask.view("<u8")
-
-    def stamps_ns(self, rows: Words, which: Integers) -> Integers:
-        """Return the header stamps of some rows of this layout, (n,), in [ns]; zero without."""
-        if self.stamp is None:
-            return np.zeros(len(which), dtype=np.int64)
-        # A header is the first field, so that its stamp is one whole word of the row.
-        words = np.ascontiguousarray(rows[:, (self.stamp + ENCAPSULATION) // WORD][which])
-        stamps = words.view(f"{self.order}i4")[::2].astype(np.int64)
-        stamps *= NANOSECONDS
-        stamps += words.view(f"{self.order}u4")[1::2]
-        return stamps
-
-    def column(self, rows: Words, field: str, index: int) -> Numbers:
-        """Return one number of each row of this layout, (n,); a view."""
-        # Doubles lie at multiples of 8 bytes from the end of the encapsulation header.
-        at = (self.fields[field].offset + ENCAPSULATION) // WORD + index
-        column: Numbers = rows.view(f"{self.order}f8")[:, at]
-        return column
-
-
-def joint_state_layout(raw: bytes) -> Layout:
-    """Learn the layout of a ``sensor_msgs/JointState``: position, velocity and effort."""
-    walker = Walker(raw, "JointState")
-    stamp, _, names = walker.time(), walker.string(), walker.strings()
-    fields = {field: walker.array() for field in ("position", "velocity", "effort")}
-    return _layout(walker, stamp, names, fields)
-
-
 def float64_layout(raw: bytes) -> Layout:
     """Learn the layout of a ``std_msgs/Float64``: the field ``data``."""
     walker = Walker(raw, "Float64")
-    return _layout(walker, None, (), {"data": walker.fixed_array(1)})
+    return walker.layout(None, (), {"data": walker.fixed_array(1)})
 
 
 def float64_multi_array_layout(raw: bytes) -> Layout:
@@ -143,7 +59,7 @@ def float64_multi_array_layout(raw: bytes) -> Layout:
         walker.scalar("I")
         walker.scalar("I")
     walker.scalar("I")
-    return _layout(walker, None, (), {"data": walker.array()})
+    return walker.layout(None, (), {"data": walker.array()})
 
 
 def controller_state_layout(raw: bytes) -> Layout:
@@ -184,15 +100,7 @@ def _controller_state(raw: bytes, points: int, has_speed: bool) -> Layout:
             walker.fixed_array(1)
     if not walker.is_at_end():
         raise MessageError(f"a JointTrajectoryControllerState has {len(raw)} bytes, too many")
-    return _layout(walker, stamp, names, fields)
-
-
-def _layout(
-    walker: Walker, stamp: int | None, names: tuple[str, ...], fields: Mapping[str, Doubles]
-) -> Layout:
-    rest = (walker.offset, len(walker.raw) - walker.offset)  # padding after the last value
-    variable = (*walker.variable, rest)
-    return Layout(len(walker.raw), names, walker.order, stamp, fields, variable)
+    return walker.layout(stamp, names, fields)
 
 
 LAYOUTS: Mapping[str, Callable[[bytes], Layout]] = {

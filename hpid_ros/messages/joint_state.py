@@ -16,13 +16,17 @@ layout stays.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from operator import itemgetter
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hpid_ros.base.errors import MessageError
-from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.base.units import NANOSECONDS, Numbers
 
 ENCAPSULATION = 4
 _BYTE_ORDERS = {0: ">", 1: "<"}
@@ -109,6 +113,117 @@ class Cursor:
             )
 
 
+class Doubles(NamedTuple):
+    """A sequence of doubles in a message."""
+
+    offset: int  # byte of the first, from the start of the message
+    length: int  # how many there are
+
+
+class Walker(Cursor):
+    """Passes over stamps and doubles, whose bytes differ between messages of one layout."""
+
+    def __init__(self, raw: bytes, kind: str) -> None:
+        super().__init__(raw, kind)
+        self._fixed: list[tuple[int, bytes]] = []
+        self._passed = 0
+
+    def time(self) -> int:
+        """Pass a ``builtin_interfaces`` Time or Duration; return its offset."""
+        return self._pass(4, 8)
+
+    def array(self) -> Doubles:
+        return self.fixed_array(self.scalar("I"))
+
+    def fixed_array(self, count: int) -> Doubles:
+        return Doubles(self._pass(_DOUBLE, _DOUBLE * count) if count else self.offset, count)
+
+    def is_at_end(self) -> bool:
+        """Return whether only padding is left."""
+        return len(self.raw) - self.offset < 4
+
+    def layout(
+        self, stamp: int | None, names: tuple[str, ...], fields: Mapping[str, Doubles]
+    ) -> Layout:
+        """Return the layout of the message; what has not been passed is padding."""
+        self._keep(self.offset)
+        return Layout(len(self.raw), names, self.order, stamp, fields, tuple(self._fixed))
+
+    def _pass(self, alignment: int, size: int) -> int:
+        self.align(alignment)
+        self.require(size)
+        begin = self.offset
+        self._keep(begin)
+        self._passed = self.offset = begin + size
+        return begin
+
+    def _keep(self, end: int) -> None:
+        """Note what stands between what was passed last and here."""
+        if self._passed < end:
+            self._fixed.append((self._passed, bytes(self.raw[self._passed : end])))
+
+
+Words = NDArray[np.uint64]
+WORD = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the numbers of a message lie: others of its layout differ in them and in stamps alone.
+
+    Rows begin :data:`ENCAPSULATION` bytes before a message.
+    """
+
+    size: int  # bytes of a message
+    names: tuple[str, ...]  # joint names; empty if the type carries none
+    order: str  # byte order, "<" or ">"
+    stamp: int | None  # offset of the header's stamp; None if the type has none
+    fields: Mapping[str, Doubles]  # doubles by field
+    # (offset, bytes) of what is neither a stamp nor a double, nor padding at the end
+    fixed: tuple[tuple[int, bytes], ...]
+
+    def matches(self, raw: bytes) -> bool:
+        """Return whether a message has this layout, byte for byte."""
+        return len(raw) == self.size and all(
+            raw.startswith(segment, offset) for offset, segment in self.fixed
+        )
+
+    @cached_property
+    def mask(self) -> Words:
+        """Bits of a row that all messages of the layout share, (words,)."""
+        mask = np.zeros(-(-(self.size + ENCAPSULATION) // WORD) * WORD, dtype=np.uint8)
+        for offset, segment in self.fixed:
+            begin = ENCAPSULATION + offset
+            mask[begin : begin + len(segment)] = 0xFF
+        return mask.view("<u8")
+
+    def stamps_ns(self, rows: Words, which: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the header stamps of some rows of this layout, (n,), in [ns]; zero without."""
+        if self.stamp is None:
+            return np.zeros(len(which), dtype=np.int64)
+        # A header is the first field, so that its stamp is one whole word of the row.
+        words = np.ascontiguousarray(rows[:, (self.stamp + ENCAPSULATION) // WORD][which])
+        stamps = words.view(f"{self.order}i4")[::2].astype(np.int64)
+        stamps *= NANOSECONDS
+        stamps += words.view(f"{self.order}u4")[1::2]
+        return stamps
+
+    def column(self, rows: Words, field: str, index: int) -> Numbers:
+        """Return one number of each row of this layout, (n,); a view."""
+        # Doubles lie at multiples of 8 bytes from the end of the encapsulation header.
+        at = (self.fields[field].offset + ENCAPSULATION) // WORD + index
+        column: Numbers = rows.view(f"{self.order}f8")[:, at]
+        return column
+
+
+def joint_state_layout(raw: bytes) -> Layout:
+    """Learn the layout of a ``sensor_msgs/JointState``: position, velocity and effort."""
+    walker = Walker(raw, "JointState")
+    stamp, _, names = walker.time(), walker.string(), walker.strings()
+    fields = {field: walker.array() for field in ("position", "velocity", "effort")}
+    return walker.layout(stamp, names, fields)
+
+
 class Writer:
     """Writes CDR values one after the other, little endian."""
 
@@ -151,8 +266,6 @@ def require_nanoseconds(nanoseconds: int) -> None:
         raise MessageError(f"a stamp's nanoseconds must be below 1e9, not {nanoseconds}")
 
 
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-
 STAMP_OFFSET = ENCAPSULATION
 NAMES_OFFSET = STAMP_OFFSET + 8
 
@@ -194,55 +307,6 @@ def decode_joint_state(raw: bytes) -> JointStateFields:
     return JointStateFields(*head, cursor.doubles(), cursor.doubles(), cursor.doubles())
 
 
-@dataclass(frozen=True)
-class JointStateLayout:
-    """Where the numbers of a little-endian JointState lie.
-
-    Two messages with the same frame, names and array lengths have the same layout; only the
-    stamp and the doubles differ. Offsets are in bytes from the start of the raw message; an
-    array that is empty has offset 0.
-    """
-
-    names: tuple[str, ...]  # joint names
-    size: int  # length of the whole message in bytes
-    position: int  # offset of the first position
-    velocity: int  # offset of the first velocity
-    effort: int  # offset of the first effort
-    # (offset, bytes) of everything that is neither stamp nor double
-    fixed: tuple[tuple[int, bytes], ...]
-
-    @classmethod
-    def of(cls, raw: bytes) -> JointStateLayout | None:
-        """Return the layout of a message that can be decoded; None if it is big-endian."""
-        cursor = Cursor(raw, "JointState")
-        if cursor.order == ">":
-            return None
-        cursor.offset = at = NAMES_OFFSET
-        cursor.string()
-        names = cursor.strings()
-        offsets, fixed = [], []
-        for _ in range(3):
-            length = cursor.scalar("I")
-            if length:
-                cursor.align(_DOUBLE)
-                fixed.append((at, bytes(raw[at : cursor.offset])))
-                at = cursor.offset + _DOUBLE * length
-            offsets.append(cursor.offset if length else 0)
-            cursor.offset += _DOUBLE * length
-        if at < len(raw):
-            fixed.append((at, bytes(raw[at:])))
-        position, velocity, effort = offsets
-        return cls(names, len(raw), position, velocity, effort, tuple(fixed))
-
-    def matches(self, raw: bytes) -> bool:
-        """Return whether a message has this layout, byte for byte."""
-        return (
-            len(raw) == self.size
-            and raw.startswith(_LITTLE_ENDIAN)
-            and all(raw.startswith(segment, offset) for offset, segment in self.fixed)
-        )
-
-
 class JointStateTemplate:
     """A JointState that is serialised but for its stamp and numbers.
 
@@ -271,9 +335,8 @@ class JointStateTemplate:
             if count * is_given:
                 writer.doubles([0.0] * count)
         self._buffer = bytearray(writer.raw)
-        layout = JointStateLayout.of(writer.raw)
-        assert layout is not None  # it is little-endian
-        self._layout = layout
+        fields = joint_state_layout(writer.raw).fields.values()
+        self._offsets = [each.offset if each.length else 0 for each in fields]
         self._stamp = struct.Struct("<iI")
         self._doubles = struct.Struct(f"<{count}d")
 
@@ -285,14 +348,15 @@ class JointStateTemplate:
         velocity: Sequence[float] = (),
         effort: Sequence[float] = (),
     ) -> bytes:
-        layout, buffer = self._layout, self._buffer
+        buffer = self._buffer
         self._stamp.pack_into(buffer, STAMP_OFFSET, *divmod(stamp_ns, NANOSECONDS))
-        if layout.position:
-            self._doubles.pack_into(buffer, layout.position, *position)
-        if layout.velocity:
-            self._doubles.pack_into(buffer, layout.velocity, *velocity)
-        if layout.effort:
-            self._doubles.pack_into(buffer, layout.effort, *effort)
+        at_position, at_velocity, at_effort = self._offsets
+        if at_position:
+            self._doubles.pack_into(buffer, at_position, *position)
+        if at_velocity:
+            self._doubles.pack_into(buffer, at_velocity, *velocity)
+        if at_effort:
+            self._doubles.pack_into(buffer, at_effort, *effort)
         return bytes(buffer)
 
 
@@ -313,7 +377,7 @@ class JointReader:
 
     def __init__(self, joint: str) -> None:
         self.joint = joint
-        self._layout: JointStateLayout | None = None
+        self._layout: Layout | None = None
         self._numbers = struct.Struct("")
         self._has_velocity = False
 
@@ -338,16 +402,16 @@ class JointReader:
             return None
         index = fields.place_of(self.joint)
         fields.require_lengths("velocity")
-        self._layout = layout = JointStateLayout.of(raw)
-        if layout is not None:
-            position = layout.position + 8 * index
-            numbers = f"<iI{position - NAMES_OFFSET}xd"
-            self._has_velocity = layout.velocity > 0
-            if self._has_velocity:
-                numbers += f"{layout.velocity + 8 * index - position - 8}xd"
-            self._numbers = struct.Struct(numbers)
-        velocity = fields.velocity[index] if fields.velocity else None
-        return JointSample(fields.stamp_ns, fields.position[index], velocity)
+        self._layout = layout = joint_state_layout(raw)
+        position, velocity = (
+            layout.fields[field].offset + _DOUBLE * index for field in ("position", "velocity")
+        )
+        numbers = f"{layout.order}iI{position - NAMES_OFFSET}xd"
+        self._has_velocity = bool(fields.velocity)
+        if self._has_velocity:
+            numbers += f"{velocity - position - _DOUBLE}xd"
+        self._numbers = struct.Struct(numbers)
+        return self.read(raw)
 
 
 class EffortReader:
@@ -392,8 +456,9 @@ class EffortReader:
             key = raw[NAMES_OFFSET:-8]
             has_room = len(self._known) < self._KEYS_AT_MOST
             if has_room and len(key) <= self._KEY_BYTES_AT_MOST:
-                layout = JointStateLayout.of(raw)
-                if layout is not None and layout.effort == len(raw) - _DOUBLE:
+                layout = joint_state_layout(raw)
+                at_end = layout.fields["effort"].offset == len(raw) - _DOUBLE
+                if at_end and layout.order == "<":
                     self._known[key] = fields.names, fields.frame_id
         self.sender = fields.frame_id
         is_asked = len(fields.position) == len(fields.velocity) == len(fields.names)
@@ -417,7 +482,7 @@ class RobotReader:
 
     def __init__(self, joints: Sequence[str]) -> None:
         self.joints = tuple(joints)
-        self._layout: JointStateLayout | None = None
+        self._layout: Layout | None = None
         self._arrays: tuple[tuple[int, struct.Struct] | None, ...] = ()
         self._pick: Callable[[Sequence[float]], Sequence[float]] = tuple
 
@@ -436,15 +501,12 @@ class RobotReader:
         fields = decode_joint_state(raw)
         indices = [fields.place_of(joint) for joint in self.joints]
         fields.require_lengths("velocity", "effort")
-        self._layout = layout = JointStateLayout.of(raw)
-        if layout is not None:
-            offsets = layout.position, layout.velocity, layout.effort
-            numbers = struct.Struct(f"<{len(layout.names)}d")
-            self._arrays = tuple((offset, numbers) if offset else None for offset in offsets)
-            self._pick = _picking(indices)
-        arrays = fields.position, fields.velocity, fields.effort
-        found = [tuple(array[k] for k in indices) if array else None for array in arrays]
-        return RobotSample(found[0] or (), found[1], found[2])
+        self._layout = layout = joint_state_layout(raw)
+        numbers = struct.Struct(f"{layout.order}{len(layout.names)}d")
+        arrays = layout.fields.values()
+        self._arrays = tuple((each.offset, numbers) if each.length else None for each in arrays)
+        self._pick = _picking(indices)
+        return self.read(raw)
 
 
 class JointPart(NamedTuple):
@@ -453,6 +515,10 @@ class JointPart(NamedTuple):
     joint: int  # its place among the joints that were asked for
     position: float  # [rad] or [m]
     velocity: float | None  # [rad/s] or [m/s]; None when the message has no velocities
+
+
+_KnownLayout = tuple[Layout, struct.Struct, struct.Struct, tuple[tuple[int, int], ...]]
+"""With its stamp, its doubles, and joints: place among those asked for, place in the message."""
 
 
 class GroupReader:
@@ -466,29 +532,25 @@ class GroupReader:
 
     def __init__(self, joints: Sequence[str]) -> None:
         self.joints = tuple(joints)
-        # layouts, their doubles, and (place among the joints asked for, place in the message)
-        self._known: list[tuple[JointStateLayout, struct.Struct, tuple[tuple[int, int], ...]]] = []
-        self._stamp = struct.Struct("<iI")
+        self._known: list[_KnownLayout] = []
 
     def read(self, raw: bytes) -> tuple[int, Sequence[JointPart]]:
         """Return the stamp in [ns], and those of the joints that the message has."""
         known = next((each for each in self._known if each[0].matches(raw)), None)
-        if known is None:
-            return self._learn(raw)
-        layout, numbers, places = known
-        seconds, nanoseconds = self._stamp.unpack_from(raw, STAMP_OFFSET)
+        layout, stamp, numbers, places = known or self._learned(raw)
+        seconds, nanoseconds = stamp.unpack_from(raw, STAMP_OFFSET)
         if nanoseconds >= NANOSECONDS:
             require_nanoseconds(nanoseconds)
         stamp_ns = seconds * NANOSECONDS + nanoseconds
         if not places:
             return stamp_ns, ()
-        positions = numbers.unpack_from(raw, layout.position)
-        if not layout.velocity:
+        positions = numbers.unpack_from(raw, layout.fields["position"].offset)
+        if not layout.fields["velocity"].length:
             return stamp_ns, [JointPart(j, positions[k], None) for j, k in places]
-        velocities = numbers.unpack_from(raw, layout.velocity)
+        velocities = numbers.unpack_from(raw, layout.fields["velocity"].offset)
         return stamp_ns, [JointPart(j, positions[k], velocities[k]) for j, k in places]
 
-    def _learn(self, raw: bytes) -> tuple[int, Sequence[JointPart]]:
+    def _learned(self, raw: bytes) -> _KnownLayout:
         fields = decode_joint_state(raw)
         places = tuple(
             (j, fields.place_of(joint))
@@ -497,14 +559,13 @@ class GroupReader:
         )
         if places:
             fields.require_lengths("velocity")
-        layout = JointStateLayout.of(raw)
-        if layout is not None and len(self._known) < self._LAYOUTS_AT_MOST:
-            numbers = struct.Struct(f"<{len(fields.names)}d")
-            self._known.append((layout, numbers, places))
-        return fields.stamp_ns, [
-            JointPart(j, fields.position[k], fields.velocity[k] if fields.velocity else None)
-            for j, k in places
-        ]
+        layout = joint_state_layout(raw)
+        codes = "iI", f"{len(layout.names)}d"
+        stamp, numbers = (struct.Struct(layout.order + code) for code in codes)
+        known = layout, stamp, numbers, places
+        if len(self._known) < self._LAYOUTS_AT_MOST:
+            self._known.append(known)
+        return known
 
 
 def _picking(places: Sequence[int]) -> Callable[[Sequence[float]], Sequence[float]]:
