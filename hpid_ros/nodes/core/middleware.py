@@ -16,7 +16,9 @@ from threading import Lock
 from weakref import WeakKeyDictionary
 
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
@@ -112,6 +114,18 @@ def subscribe_raw(
     return node.create_subscription(
         JointState, topic, callback, profile, raw=True, qos_overriding_options=overridable()
     )
+
+
+_ACKNOWLEDGED_WITHIN = Duration(seconds=0.5)
+
+
+def wait_until_acknowledged(node: Node, publisher: Publisher, what: str) -> None:
+    """Wait until every reliable subscriber has acknowledged what was sent last, for a while."""
+    if not publisher.wait_for_all_acked(_ACKNOWLEDGED_WITHIN):
+        node.get_logger().warning(
+            f"{what} was not acknowledged by every subscriber within "
+            f"{_ACKNOWLEDGED_WITHIN.nanoseconds * 1e-9:g} s"
+        )
 
 
 def full_name(endpoint: TopicEndpointInfo) -> str:

@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
-from rclpy.duration import Duration
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -25,6 +24,7 @@ from hpid_ros.nodes.core.middleware import (
     overridable,
     steady_timer,
     subscribe_raw,
+    wait_until_acknowledged,
 )
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
 from hpid_ros.nodes.parts.goals import GroupTrajectory
@@ -38,7 +38,6 @@ from hpid_ros.nodes.parts.references import (
 _LOOKS = 10  # for the states, in each state_timeout
 _STOOD_STILL = 0.25  # [s] without a look; an executor that is merely busy is faster
 _OWN_KEPT = 16  # messages that may be on their way back
-_ACKNOWLEDGED_WITHIN = Duration(seconds=0.5)
 
 
 class GroupTopics:
@@ -86,11 +85,8 @@ class GroupTopics:
 
     def wait_until_acknowledged(self) -> None:
         """Wait until every controller has acknowledged the last trajectory, for a while."""
-        if self._sent and not self._publisher.wait_for_all_acked(_ACKNOWLEDGED_WITHIN):
-            self._node.get_logger().warning(
-                "the last trajectory was not acknowledged by every subscriber within "
-                f"{_ACKNOWLEDGED_WITHIN.nanoseconds * 1e-9:g} s"
-            )
+        if self._sent:
+            wait_until_acknowledged(self._node, self._publisher, "the last trajectory")
 
     def subscribers(self) -> set[str]:
         """Return full names of the other nodes that subscribe to trajectories."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.task import Future
@@ -16,7 +15,7 @@ from hpid_ros.base.errors import ClaimError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.core import executor
-from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.middleware import steady_timer, wait_until_acknowledged
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.rclpy_internals import destroy_lifecycle, lifecycle_state
 from hpid_ros.nodes.parts.joint_topics import Commands
@@ -123,7 +122,6 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
         return TransitionCallbackReturn.SUCCESS
 
 
-_LAST_COMMAND_WITHIN = Duration(seconds=0.5)
 _LONGEST = 4.0  # [s]; launch kills what has not ended 5 s after it was asked to
 
 
@@ -186,11 +184,7 @@ class ControllerStop:
 
     def wait_until_acknowledged(self) -> None:
         """Wait until every reliable subscriber has acknowledged the last zero, for a while."""
-        if not self._is_unacknowledged:
-            return
-        self._is_unacknowledged = False
-        if not self._commands.publisher.wait_for_all_acked(_LAST_COMMAND_WITHIN):
-            self._node.get_logger().warning(
-                "the last command, of zero effort, was not acknowledged by every subscriber "
-                f"within {_LAST_COMMAND_WITHIN.nanoseconds * 1e-9:g} s"
-            )
+        if self._is_unacknowledged:
+            self._is_unacknowledged = False
+            what = "the last command, of zero effort,"
+            wait_until_acknowledged(self._node, self._commands.publisher, what)

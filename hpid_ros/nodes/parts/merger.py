@@ -183,7 +183,7 @@ class Rounds:
         self.began_ns = 0
         self.deadline_ns: int | None = None
         self._share = share
-        self._stamps: list[int | None] = [None] * joints
+        self.stamps_ns: list[int | None] = [None] * joints  # of the state that each answered last
         self._alive: set[int] = set()
         self._awaited: set[int] = set()
         self._answered: set[int] = set()
@@ -191,17 +191,12 @@ class Rounds:
         self._is_overdue = False
         self._was_sent = False
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)
-        self._wait_ns = round(share * _FIRST_PERIOD_NS)
+        self.wait_ns = round(share * _FIRST_PERIOD_NS)  # how long a command waits for others
 
     @property
     def period_ns(self) -> float:
         """The time between two rounds: the median of the last ones."""
         return median(self._intervals) if self._intervals else _FIRST_PERIOD_NS
-
-    @property
-    def wait_ns(self) -> int:
-        """How long a command waits for others."""
-        return self._wait_ns
 
     @property
     def is_complete(self) -> bool:
@@ -216,12 +211,8 @@ class Rounds:
             return self._alive <= self._answered
         return (self._awaited or self._alive) <= self._answered
 
-    def stamp_of(self, joint: int) -> int | None:
-        """Return the stamp of the state that a joint answered last, in [ns]."""
-        return self._stamps[joint]
-
     def answer(self, joint: int, stamp_ns: int, now_ns: int) -> None:
-        before, self._stamps[joint] = self._stamps[joint], stamp_ns
+        before, self.stamps_ns[joint] = self.stamps_ns[joint], stamp_ns
         if self._is_another(joint, stamp_ns, before):
             self._begin(stamp_ns, now_ns)
         elif stamp_ns != self.stamp_ns:
@@ -230,9 +221,9 @@ class Rounds:
         self._alive.add(joint)
         if stamp_ns == self.stamp_ns:
             self._answered.add(joint)
-            if now_ns - self.began_ns <= self._wait_ns:
+            if now_ns - self.began_ns <= self.wait_ns:
                 self._awaited.add(joint)
-        due_ns = now_ns + self._wait_ns
+        due_ns = now_ns + self.wait_ns
         if self.deadline_ns is None or due_ns < self.deadline_ns:
             self.deadline_ns = due_ns
 
@@ -247,7 +238,7 @@ class Rounds:
     def _begin(self, stamp_ns: int, now_ns: int) -> None:
         if self.stamp_ns is not None and stamp_ns > self.stamp_ns:
             self._intervals.append(now_ns - self.began_ns)
-            self._wait_ns = round(self._share * self.period_ns)
+            self.wait_ns = round(self._share * self.period_ns)
         self.stamp_ns, self.began_ns = stamp_ns, now_ns
         self._answered.clear()
         self._was_sent = False
@@ -269,7 +260,7 @@ class Rounds:
         if self._was_sent:
             return set()
         self._was_sent = True
-        if now_ns - self.began_ns >= self._wait_ns:
+        if now_ns - self.began_ns >= self.wait_ns:
             self._awaited &= self._answered
         return self._alive - self._answered
 
@@ -375,7 +366,7 @@ class CommandMerger:
             return None
         counts.commands += 1
         if not is_signed and index not in self._silent:
-            last = self.rounds.stamp_of(index) or 0, self._efforts[index]
+            last = self.rounds.stamps_ns[index] or 0, self._efforts[index]
             counts.conflicting += is_by_another(*last, stamp_ns, effort)
         if index in self._silent:
             self._return(index, counts, now_ns)
