@@ -354,8 +354,8 @@ class GoalFollower:
     def _state_timeout_ns(self) -> int:
         return round(self.settings.fixed.state_timeout * NANOSECONDS)
 
-    def _lacking_state(self) -> _Overdue:
-        """Return which joint has no state, or an old one."""
+    def _overdue(self) -> _Overdue:
+        """Return which joint has no state or an old one, or whose controller is silent."""
         timeout_ns = self._state_timeout_ns
         for joint in self._joints:
             if joint.stamp_ns is None or self.now_ns is None:
@@ -364,13 +364,6 @@ class GoalFollower:
             if age_ns > timeout_ns:
                 line = f"{joint.name} has had no state for {age_ns / NANOSECONDS:.3g} s"
                 return _Overdue(joint.name, joint.stamp_ns, line, timeout_ns)
-        return _Overdue()
-
-    def _overdue(self) -> _Overdue:
-        """Return which joint lacks a state, or whose controller is silent."""
-        lacking = self._lacking_state()
-        if lacking.reason:
-            return lacking
         timeout_ns = round(self.settings.fixed.reference_timeout * NANOSECONDS)
         for joint in self._joints if timeout_ns else ():
             if joint.reference_ns is None:
