@@ -310,7 +310,7 @@ class _Collector:
         return own[0] if own else self._joints.get(joint_of(topic))
 
     def _take_states(self, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in _messages(batch):
+        for log_time_ns, place, raw in batch.messages():
             for name, joint in self._joints.items():
                 try:
                     sample = joint.reader.read(raw)
@@ -324,7 +324,7 @@ class _Collector:
                     joint.states.append(RecordedState(log_time_ns, place, sample.stamp_ns, answer))
 
     def _take_commands(self, batch: TopicBatch) -> None:
-        for _, place, raw in _messages(batch):
+        for _, place, raw in batch.messages():
             try:
                 stamp_ns, names, efforts = self._efforts.read(raw)
             except MessageError as error:
@@ -341,7 +341,7 @@ class _Collector:
                         joint.asked.samples[stamp_ns] = asked[0][at], asked[1][at]
 
     def _take_trajectories(self, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in _messages(batch):
+        for log_time_ns, place, raw in batch.messages():
             try:
                 trajectory = decoded_trajectory(raw)
             except HpidError as error:
@@ -356,13 +356,13 @@ class _Collector:
                         )
 
     def _take_setpoints(self, joint: _Joint, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in _messages(batch):
+        for log_time_ns, place, raw in batch.messages():
             with self._leaving_out("a setpoint was left out, as controllers refuse it"):
                 motion = following(Setpoint(decode_float64(raw)))
                 joint.motions.append(Instruction(log_time_ns, place, motion, "a setpoint"))
 
     def _take_relays(self, joint: _Joint, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in _messages(batch):
+        for log_time_ns, place, raw in batch.messages():
             with self._leaving_out("a relay was left out, as controllers refuse it"):
                 request = RelayRequest.from_message(decode_numbers(raw))
                 text = "the end of a relay" if request is None else "a relay"
@@ -376,7 +376,7 @@ class _Collector:
             self._notes[f"{what}: {error}"] = None
 
     def _take_events(self, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in _messages(batch):
+        for log_time_ns, place, raw in batch.messages():
             event = read_event(raw)
             if event is not None and is_below(event.node, self._namespace):
                 self._take_change(log_time_ns, place, event)
@@ -396,13 +396,6 @@ class _Collector:
                 text = ", ".join(f"{name} = {value}" for name, value in values.items())
                 change = partial(joint.controller.changed, values)
                 joint.instruct(log_time_ns, place, retuned(change), text)
-
-
-def _messages(batch: TopicBatch) -> Iterator[tuple[int, int, bytes]]:
-    """Yield log time [ns], place in the log and content of each message."""
-    times = zip(batch.log_times_ns.tolist(), batch.places.tolist(), strict=True)
-    for index, (log_time_ns, place) in enumerate(times):
-        yield log_time_ns, place, batch.raw(index)
 
 
 def _place(each: RecordedState | RecordedCommand | Instruction) -> int:
