@@ -96,63 +96,52 @@ def guard_services(node: Node, fault: Callable[[str], None]) -> None:
     be loaded. Whatever is refused is refused with a reason.
     """
     own = {
-        "set_parameters": _whole_sets(node, fault),
-        "set_parameters_atomically": _atomic_sets(node, fault),
-        "get_parameters": _all_values(node),
+        "set_parameters": partial(_set_whole, node, fault),
+        "set_parameters_atomically": partial(_set_atomically, node, fault),
+        "get_parameters": partial(_get_all, node),
     }
     for service in node.services:
         name = service.srv_name.rpartition("/")[2]
         answer = own.get(name) or service_callback(service)
-        answer_with(service, _guarded(answer, name, fault))
+        answer_with(service, partial(_guarded, answer, name, fault))
 
 
 def _guarded(
-    callback: ServiceCallback, name: str, fault: Callable[[str], None]
-) -> ServiceCallback:
-    def call(request: Any, response: Any) -> Any:
+    answer: ServiceCallback, name: str, fault: Callable[[str], None], request: Any, response: Any
+) -> Any:
+    try:
+        return answer(request, response)
+    except Exception as error:  # whatever a request from outside can bring about
+        fault(f"{name} refused: {type(error).__name__}: {' '.join(str(error).split())}")
+        return response  # as it was made: not successful
+
+
+def _set_whole(node: Node, fault: Callable[[str], None], request: Any, response: Any) -> Any:
+    results = [SetParametersResult(successful=True) for _ in request.parameters]
+    changes: list[tuple[int, Parameter]] = []
+    for index, message in enumerate(request.parameters):
         try:
-            return callback(request, response)
-        except Exception as error:  # whatever a request from outside can bring about
-            fault(f"{name} refused: {type(error).__name__}: {' '.join(str(error).split())}")
-            return response  # as it was made: not successful
-
-    return call
-
-
-def _whole_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
-    def call(request: Any, response: Any) -> Any:
-        results = [SetParametersResult(successful=True) for _ in request.parameters]
-        changes: list[tuple[int, Parameter]] = []
-        for index, message in enumerate(request.parameters):
-            try:
-                changes += [(index, change) for change in _changes(node, [message])]
-            except (ValueError, TypeError) as error:
-                results[index] = _refused(str(error))
-        # What is fixed is refused alone, and does not spoil the rest.
-        free = [
-            change for _, change in changes if not node.describe_parameter(change.name).read_only
-        ]
-        reason = next((each.reason for each in results if not each.successful), "")
-        whole = _refused(reason) if reason else _set(node, free)
-        for index, change in changes:
-            results[index] = whole if change in free else _set(node, [change])
-        response.results = results
-        _report_refusal(results, fault)
-        return response
-
-    return call
-
-
-def _atomic_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
-    def call(request: Any, response: Any) -> Any:
-        try:
-            response.result = _set(node, _changes(node, request.parameters))
+            changes += [(index, change) for change in _changes(node, [message])]
         except (ValueError, TypeError) as error:
-            response.result = _refused(str(error))
-        _report_refusal([response.result], fault)
-        return response
+            results[index] = _refused(str(error))
+    # What is fixed is refused alone, and does not spoil the rest.
+    free = [change for _, change in changes if not node.describe_parameter(change.name).read_only]
+    reason = next((each.reason for each in results if not each.successful), "")
+    whole = _refused(reason) if reason else _set(node, free)
+    for index, change in changes:
+        results[index] = whole if change in free else _set(node, [change])
+    response.results = results
+    _report_refusal(results, fault)
+    return response
 
-    return call
+
+def _set_atomically(node: Node, fault: Callable[[str], None], request: Any, response: Any) -> Any:
+    try:
+        response.result = _set(node, _changes(node, request.parameters))
+    except (ValueError, TypeError) as error:
+        response.result = _refused(str(error))
+    _report_refusal([response.result], fault)
+    return response
 
 
 def _changes(node: Node, messages: Sequence[ParameterMessage]) -> list[Parameter]:
@@ -169,13 +158,10 @@ def _changes(node: Node, messages: Sequence[ParameterMessage]) -> list[Parameter
     return changes
 
 
-def _all_values(node: Node) -> ServiceCallback:
-    def call(request: Any, response: Any) -> Any:
-        found = [node.get_parameter_or(name) for name in request.names]  # not set: without value
-        response.values = [parameter.get_parameter_value() for parameter in found]
-        return response
-
-    return call
+def _get_all(node: Node, request: Any, response: Any) -> Any:
+    found = [node.get_parameter_or(name) for name in request.names]  # not set: without value
+    response.values = [parameter.get_parameter_value() for parameter in found]
+    return response
 
 
 def _report_refusal(results: Sequence[SetParametersResult], fault: Callable[[str], None]) -> None:
