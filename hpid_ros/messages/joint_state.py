@@ -10,7 +10,7 @@ Source: OMG DDS-RTPS 2.5 section 10 (encapsulation), OMG DDS-XTypes 1.3 section 
 the definition of ``sensor_msgs/msg/JointState``.
 
 The readers learn where one joint's numbers lie, or several joints', and use that as long as the
-layout stays.
+layout stays. ``Cursor``, ``Writer`` and ``Layout`` are for any message.
 """
 
 from __future__ import annotations
