@@ -287,7 +287,6 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
 
     The old bag is only read. Messages keep their bytes, their log times and their order.
     """
-    saved: dict[str, int] = {}
     span_ns: tuple[int, int] | None = None
     impossible = 0
     with Storage(source) as storage:
@@ -309,11 +308,10 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
                 time_ns = message.log_time_ns
                 first, last = span_ns or (time_ns, time_ns)
                 span_ns = min(first, time_ns), max(last, time_ns)
-        saved = writer.counts
         lost = list(storage.unreadable)
         if impossible:
             lost.append(f"{impossible} messages with a negative time")
-        return Repair(target, saved, span_ns, tuple(lost))
+        return Repair(target, writer.counts, span_ns, tuple(lost))
 
 
 def _in_order(batches: Iterable[TopicBatch]) -> Iterator[_Message]:

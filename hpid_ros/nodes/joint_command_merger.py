@@ -493,9 +493,7 @@ class JointCommandMerger(ManagedNode):
 
     def stop_now(self) -> None:
         """Send a zero for every joint, if that has not been done."""
-        if self.is_active:
-            self.is_active = False
-            self.leave()
+        self._leave()
 
     def destroy_node(self) -> None:
         """Destroy the node, and what would keep it on the graph."""

@@ -368,9 +368,7 @@ class JointController(ManagedNode):
 
     def begin_stop(self) -> Future | None:
         """Begin to leave the joint; the process goes on until that is done."""
-        if self.is_active:
-            self.is_active = False
-            self.leave()
+        self._leave()
         return self._stopping.ended()
 
     def stop_now(self) -> None:
