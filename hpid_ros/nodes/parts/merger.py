@@ -374,7 +374,7 @@ class CommandMerger:
         self._forgiven.discard(index)
         self._efforts[index] = effort
         self.rounds.answer(index, stamp_ns, now_ns)
-        if not self._may_send(now_ns):
+        if not self._may_send():
             return None
         return self._finish(now_ns) if self.rounds.is_complete else None
 
@@ -389,7 +389,7 @@ class CommandMerger:
         """See who has fallen silent and what is due; to be called when :meth:`time_left` says."""
         self._forgive(now_ns)
         has_changed = self._fall_silent(now_ns)
-        if not self._may_send(now_ns):
+        if not self._may_send():
             return None
         deadline_ns = self.rounds.deadline_ns
         if deadline_ns is not None and (now_ns >= deadline_ns or self.rounds.is_complete):
@@ -434,7 +434,7 @@ class CommandMerger:
         if self._fade_in_ns:
             self._fades[index] = _Fade(now_ns, self._joints[index].fallback)
 
-    def _may_send(self, now_ns: int) -> bool:
+    def _may_send(self) -> bool:
         if not self.has_begun:
             self.has_begun = not self.missing
             if not self.has_begun:
