@@ -172,11 +172,6 @@ class _Joint:
     permissions: list[tuple[int, bool]] = field(default_factory=list)
     """Where in the log ``allow_relay`` was set, and to what."""
 
-    def instruct(
-        self, log_time_ns: int, place: int, what: Callable[[JointLoop], None], text: str
-    ) -> None:
-        self.instructions.append(Instruction(log_time_ns, place, what, text))
-
     def relay(self, place: int, request: RelayRequest | None, loop: JointLoop) -> None:
         """Do what a message on ``~/relay`` asks for, as the controller does."""
         before = (each for each in self.permissions if each[0] < place)
@@ -226,8 +221,8 @@ def read_records(
     records = list(collected.records(is_asked_for=joints is not None))
     if not records:
         commanded = ", ".join(sorted(collected.commanded)) or "nothing"
-        for note in collected.notes[:1]:
-            commanded += f" ({note})"
+        if collected.notes:
+            commanded += f" ({next(iter(collected.notes))})"
         raise BagError(f"{where}: no command for {', '.join(wanted)}; commanded: {commanded}")
     return records, [*unreadable, *collected.notes]
 
@@ -277,12 +272,7 @@ class _Collector:
         self._takes |= dict.fromkeys(events, self._take_events)
         self.topics = frozenset(self._takes)
         self.commanded: set[str] = set()
-        self._notes: dict[str, None] = {}
-
-    @property
-    def notes(self) -> list[str]:
-        """What was left out, a line each."""
-        return list(self._notes)
+        self.notes: dict[str, None] = {}  # what was left out, a line each, in order
 
     def take(self, batch: TopicBatch) -> None:
         self._takes[batch.topic](batch)
@@ -315,7 +305,7 @@ class _Collector:
                 try:
                     sample = joint.reader.read(raw)
                 except MessageError as error:
-                    self._notes[f"a state was left out, as the controller does: {error}"] = None
+                    self.notes[f"a state was left out, as the controller does: {error}"] = None
                     continue
                 if sample is not None:
                     answer: Answer = partial(_step, sample, joint.asked)
@@ -328,7 +318,7 @@ class _Collector:
             try:
                 stamp_ns, names, efforts = self._efforts.read(raw)
             except MessageError as error:
-                self._notes[f"a command was left out: {error}"] = None
+                self.notes[f"a command was left out: {error}"] = None
                 continue
             asked = self._efforts.asked
             for at, (name, effort) in enumerate(zip(names, efforts, strict=True)):
@@ -341,47 +331,44 @@ class _Collector:
                         joint.asked.samples[stamp_ns] = asked[0][at], asked[1][at]
 
     def _take_trajectories(self, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in batch.messages():
-            try:
+        for _, place, raw in batch.messages():
+            with self._leaving_out("a trajectory was left out, as controllers refuse it"):
                 trajectory = decoded_trajectory(raw)
-            except HpidError as error:
-                self._notes[f"a trajectory was left out, as controllers refuse it: {error}"] = None
-                continue
-            for name, joint in self._joints.items():
-                if name in trajectory.names:
+                for name in (each for each in self._joints if each in trajectory.names):
                     with self._leaving_out("a trajectory was left out"):
-                        motion = following(trajectory.column(name))
-                        joint.motions.append(
-                            Instruction(log_time_ns, place, motion, "a trajectory")
+                        motion = Instruction(
+                            place, following(trajectory.column(name)), "a trajectory"
                         )
+                        self._joints[name].motions.append(motion)
 
     def _take_setpoints(self, joint: _Joint, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in batch.messages():
+        for _, place, raw in batch.messages():
             with self._leaving_out("a setpoint was left out, as controllers refuse it"):
                 motion = following(Setpoint(decode_float64(raw)))
-                joint.motions.append(Instruction(log_time_ns, place, motion, "a setpoint"))
+                joint.motions.append(Instruction(place, motion, "a setpoint"))
 
     def _take_relays(self, joint: _Joint, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in batch.messages():
+        for _, place, raw in batch.messages():
             with self._leaving_out("a relay was left out, as controllers refuse it"):
                 request = RelayRequest.from_message(decode_numbers(raw))
                 text = "the end of a relay" if request is None else "a relay"
-                joint.instruct(log_time_ns, place, partial(joint.relay, place, request), text)
+                what = partial(joint.relay, place, request)
+                joint.instructions.append(Instruction(place, what, text))
 
     @contextmanager
     def _leaving_out(self, what: str) -> Iterator[None]:
         try:
             yield
         except HpidError as error:
-            self._notes[f"{what}: {error}"] = None
+            self.notes[f"{what}: {error}"] = None
 
     def _take_events(self, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in batch.messages():
+        for _, place, raw in batch.messages():
             event = read_event(raw)
             if event is not None and is_below(event.node, self._namespace):
-                self._take_change(log_time_ns, place, event)
+                self._take_change(place, event)
 
-    def _take_change(self, log_time_ns: int, place: int, event: ParameterEvent) -> None:
+    def _take_change(self, place: int, event: ParameterEvent) -> None:
         node, _, changed = event
         values = {name: value for name, value in changed.items() if name in LOOP_PARAMETERS}
         is_allowed = changed.get(ALLOW_RELAY)
@@ -391,11 +378,12 @@ class _Collector:
             if isinstance(is_allowed, bool):
                 joint.permissions.append((place, is_allowed))
             if is_allowed is False:
-                joint.instruct(log_time_ns, place, driven(None), f"{ALLOW_RELAY} = False")
+                ended = Instruction(place, driven(None), f"{ALLOW_RELAY} = False")
+                joint.instructions.append(ended)
             if values:
                 text = ", ".join(f"{name} = {value}" for name, value in values.items())
-                change = partial(joint.controller.changed, values)
-                joint.instruct(log_time_ns, place, retuned(change), text)
+                change = retuned(partial(joint.controller.changed, values))
+                joint.instructions.append(Instruction(place, change, text))
 
 
 def _place(each: RecordedState | RecordedCommand | Instruction) -> int:
@@ -411,22 +399,23 @@ def _step(sample: JointSample, asked: AskedReference, loop: JointLoop) -> float:
     return loop.step(*sample)
 
 
+@dataclass
 class _ModelAnswer:
     """Answers a state with the model's term, which is computed once for all branches."""
 
-    def __init__(
-        self, model: LoopModel, reader: RobotReader, sample: JointSample, raw: bytes
-    ) -> None:
-        self._model, self._reader, self._sample, self._raw = model, reader, sample, raw
-        self._term: ModelTerm | None = None
-        self._is_computed = False
+    model: LoopModel
+    reader: RobotReader
+    sample: JointSample
+    raw: bytes
+    term: ModelTerm | None = None
+    is_computed: bool = False
 
     def __call__(self, loop: JointLoop) -> float:
-        compensator, stamp_ns = self._model.compensator, self._sample.stamp_ns
-        if not self._is_computed:
+        compensator, stamp_ns = self.model.compensator, self.sample.stamp_ns
+        if not self.is_computed:
             try:
-                self._term = compensator.term(stamp_ns, *self._reader.read(self._raw))
+                self.term = compensator.term(stamp_ns, *self.reader.read(self.raw))
             except MessageError as error:
-                self._term = compensator.hold(stamp_ns, str(error))
-            self._is_computed = True
-        return compensator.answer(loop, *self._sample, self._term)
+                self.term = compensator.hold(stamp_ns, str(error))
+            self.is_computed = True
+        return compensator.answer(loop, *self.sample, self.term)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import struct
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
@@ -52,7 +52,6 @@ class RecordedCommand(NamedTuple):
 class Instruction(NamedTuple):
     """Something that a controller received: a motion, other settings, or a relay."""
 
-    log_time_ns: int  # [ns] when it was recorded
     place: int  # its place in the log
     what: Callable[[JointLoop], None]  # does to a loop what the controller does then
     text: str  # the same in words
@@ -177,16 +176,15 @@ _WAITED = (
 _CONTEXT = 1.0  # [s] within which something that happened may be the reason of a difference
 
 
+@dataclass(eq=False, slots=True)
 class _Branch:
     """One possible course of the controller."""
 
-    __slots__ = ("cost", "effort", "loop", "notes", "received")
-
-    def __init__(
-        self, loop: JointLoop, received: int, cost: float, notes: tuple[str, ...]
-    ) -> None:
-        self.loop, self.received, self.cost, self.notes = loop, received, cost, notes
-        self.effort = math.nan
+    loop: JointLoop
+    received: int = 0  # instructions
+    cost: float = 0.0
+    notes: tuple[str, ...] = ()
+    effort: float = math.nan  # [N m] its last answer
 
     def copy(self, cost: float = 0.0, note: str = "") -> _Branch:
         """Return a branch that goes its own way from here on."""
@@ -222,8 +220,10 @@ class _Replay:
         self._is_begun_before = False
         for command in record.commands:
             self._sort(command, stamps)
-        self._nominal = _nominal(record.states, record.instructions)
-        self._branches = [_Branch(JointLoop(record.settings), 0, 0.0, ())]
+        # For each instruction the first state that was recorded after it.
+        places = [each.place for each in record.states]
+        self._nominal = [bisect_left(places, each.place) for each in record.instructions]
+        self._branches = [_Branch(JointLoop(record.settings))]
         self._undecided = self._passed_over = 0
         self._is_left = False
         self._log_time_ns: int | None = None
@@ -310,7 +310,8 @@ class _Replay:
             self._is_left = False
             for branch in self._branches:
                 branch.loop.release()
-                branch.received = max(branch.received, self._received_before(index))
+                before = sum(nominal <= index for nominal in self._nominal)
+                branch.received = max(branch.received, before)
         branches = self._expanded(index)
         silence = state.log_time_ns - (self._log_time_ns or state.log_time_ns)
         timeout = self._branches[0].loop.settings.timing.state_timeout
@@ -386,9 +387,6 @@ class _Replay:
                 if not branch.loop.is_on_fallback:
                     branch.loop.note_timeout()
 
-    def _received_before(self, index: int) -> int:
-        return sum(nominal <= index for nominal in self._nominal)
-
     def _expanded(self, index: int) -> list[_Branch]:
         """Return all branches, with those that receive something before this state."""
         branches: list[_Branch] = []
@@ -429,16 +427,6 @@ class _Replay:
         if self._undecided > _SETTLED_AFTER:
             branches, self._undecided = branches[:1], 0
         self._branches = branches[:_BRANCHES_AT_MOST]
-
-
-def _nominal(states: Sequence[RecordedState], instructions: Sequence[Instruction]) -> list[int]:
-    """Return for each instruction the first state that was recorded after it."""
-    found, index = [], 0
-    for each in instructions:
-        while index < len(states) and states[index].place < each.place:
-            index += 1
-        found.append(index)
-    return found
 
 
 def _is_same(one: float, other: float) -> bool:

@@ -76,7 +76,7 @@ class Recorder:
     def tell(self, what, text, states_apart=0):
         """Tell the controller something; the recorder hears it so many states later."""
         place = self.place + 1000 * states_apart + 500
-        self.instructions.append(Instruction(self.stamp_ns, place, what, text))
+        self.instructions.append(Instruction(place, what, text))
         what(self.loop)
 
     def replay(self):
@@ -286,7 +286,7 @@ def test_a_relay_that_was_asked_for_is_the_laws(apart):
 def test_a_relay_that_the_controller_refused_is_left_out_and_noted():
     recorder = recorded()  # a joint that moves
     relay = driven(RelayRequest(2.0, 1e-3, 1.0, 5.0, 5.0))
-    recorder.instructions.append(Instruction(recorder.stamp_ns, 50_500, relay, "a relay"))
+    recorder.instructions.append(Instruction(50_500, relay, "a relay"))
     verdict = recorder.replay()
     assert verdict.is_the_law
     assert verdict.notes == ("a relay was left out: no relay now: the reference moves",)
