@@ -93,7 +93,7 @@ def identify(
     other joints at rest.
     """
     how = method or Method()
-    moving = max((_travel(each) for each in records), default=0.0)
+    moving = max((each.travel for each in records), default=0.0)
     places = [k for k, each in enumerate(records) if wanted is None or each.joint in wanted]
     if rigid_body is not None:
         equations = {k: _equation(records, k, rigid_body, how, moving) for k in places}
@@ -141,16 +141,14 @@ def _with_spin(
 
 def _company(own: JointRecord, records: Sequence[JointRecord]) -> tuple[str, ...]:
     """Return who moves while a joint does, whose coupling nobody knows."""
-    if len(own.time) < 2:
-        return ()
     edges = _bins(own)
-    busy = _is_busy(own, edges, _travel(own))
+    busy = _is_busy(own, edges, own.travel)
     if not busy.any():
         return ()
     names = [
         each.joint
         for each in records
-        if each is not own and np.mean(_is_busy(each, edges, _travel(own))[busy]) > _TOGETHER
+        if each is not own and np.mean(_is_busy(each, edges, own.travel)[busy]) > _TOGETHER
     ]
     if not names:
         return ()
@@ -163,13 +161,11 @@ def _company(own: JointRecord, records: Sequence[JointRecord]) -> tuple[str, ...
 
 def _others_turn(own: JointRecord, records: Sequence[JointRecord]) -> list[Span]:
     """Return when others move and a joint does not, which tells of it no more than their pull."""
-    if len(own.time) < 2:
-        return []
     edges = _bins(own)
     is_theirs = np.zeros(len(edges), dtype=np.bool_)
     for each in records:
-        is_theirs |= _is_busy(each, edges, _travel(each))
-    is_theirs &= ~_is_busy(own, edges, _travel(own))
+        is_theirs |= _is_busy(each, edges, each.travel)
+    is_theirs &= ~_is_busy(own, edges, own.travel)
     return [Span(float(at), float(at) + _BIN) for at in edges[is_theirs]]
 
 
@@ -178,22 +174,16 @@ def _bins(record: JointRecord) -> Numbers:
 
     Of a clock that was set there may be years without any.
     """
-    since = record.time - record.time[0]
-    return np.asarray(record.time[0] + _BIN * np.unique(np.floor(since / _BIN)))
+    begin = record.time[:1]
+    return np.asarray(begin + _BIN * np.unique(np.floor((record.time - begin) / _BIN)))
 
 
 def _is_busy(record: JointRecord, edges: Numbers, travel: float) -> NDArray[np.bool_]:
     """Tell for each piece of time whether a joint moves by a part of a travel."""
-    if len(record.time) < 2:
-        return np.zeros(len(edges), dtype=np.bool_)
     begins, ends = (np.searchsorted(record.time, each) for each in (edges, edges + _BIN))
     pieces = [record.position[a:b] for a, b in zip(begins, ends, strict=True)]
     moved = np.array([float(np.ptp(each)) if len(each) else 0.0 for each in pieces])
     return np.asarray(moved > _BUSY * travel)
-
-
-def _travel(record: JointRecord) -> float:
-    return float(np.ptp(record.position)) if len(record.position) else 0.0
 
 
 def _equation(
@@ -206,9 +196,12 @@ def _equation(
 ) -> Equation | str:
     """Return a joint's equation, or why there is none."""
     own = records[place]
-    reason = _why_not(own, moving)
-    if reason:
-        return reason
+    if len(own.time) < 2 or len(own.effort_time) < 2:
+        return "there are no positions, or no efforts, to look at"
+    if own.travel == 0.0 or own.travel < _STILL * moving:
+        return f"it did not move (by {own.travel:.2g}): it needs a motion of its own"
+    if not np.any(own.effort):
+        return "its efforts are zero throughout"
     if how.cutoff is not None:
         kernel = Kernel(min(how.cutoff, _HIGHEST / own.period))
     else:
@@ -223,17 +216,6 @@ def _equation(
     if equation.used_rows < _LEAST_ROWS:
         return _TOO_SLOW
     return equation.limited(_saturation(equation)) if own.is_held else equation
-
-
-def _why_not(record: JointRecord, moving: float) -> str:
-    if len(record.time) < 2 or len(record.effort_time) < 2:
-        return "there are no positions, or no efforts, to look at"
-    travel = _travel(record)
-    if travel == 0.0 or travel < _STILL * moving:
-        return f"it did not move (by {travel:.2g}): it needs a motion of its own"
-    if not np.any(record.effort):
-        return "its efforts are zero throughout"
-    return ""
 
 
 def _chosen_kernel(record: JointRecord, how: Method) -> Kernel:

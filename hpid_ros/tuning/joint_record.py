@@ -116,6 +116,11 @@ class JointRecord:
         """Median time between two positions, in [s]; zero for fewer than two."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
 
+    @property
+    def travel(self) -> float:
+        """How far it moved between its ends, in [rad]."""
+        return float(np.ptp(self.position)) if len(self.position) else 0.0
+
     def impulse(self, limit: float = math.inf) -> PPoly:
         """Return the integral of the effort over time, in [N m s], of no more than a limit."""
         when, what = self.effort_time, self.effort.clip(-limit, limit)

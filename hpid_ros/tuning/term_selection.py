@@ -126,8 +126,8 @@ _UNFELT = f"the links are hardly felt: {_HELP[EFFORT_SCALE]}"
 
 def nothing(record: JointRecord, reason: str) -> JointIdentification:
     """Return that nothing could be found."""
-    travel = float(np.ptp(record.position)) if len(record.position) else 0.0
-    return JointIdentification(record.joint, unreliable={record.joint: reason}, travel=travel)
+    unreliable = {record.joint: reason}
+    return JointIdentification(record.joint, unreliable=unreliable, travel=record.travel)
 
 
 def findings(equation: Equation, has_scale: bool) -> JointIdentification:
