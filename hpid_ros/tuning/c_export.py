@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from ctypes import c_float
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -51,7 +51,6 @@ _EXPORTED = (
     *("fallback_effort", "state_timeout", "control_period", "encoder_resolution", "inertia"),
 )
 _NUMBERS = tuple(n for n in _EXPORTED if isinstance(LOOP_PARAMETERS[n].default, float))
-_FLAGS = tuple(n for n in _EXPORTED if isinstance(LOOP_PARAMETERS[n].default, bool))
 _TIMES = ("state_timeout", "control_period")  # compared with some slack in single precision
 
 _OF_THE_NODE = {"joint", "state_clock"}
@@ -84,10 +83,8 @@ class Field(NamedTuple):
 def _field(parameter: str) -> Field:
     spec = LOOP_PARAMETERS[parameter]
     text = _IN_C.get(parameter, spec.description)
-    if parameter in _CHOICES:
-        return Field(parameter, text, _CHOICES[parameter])
-    if parameter in _FLAGS:
-        return Field(parameter, text)
+    if parameter not in _NUMBERS:
+        return Field(parameter, text, _CHOICES.get(parameter, ()))
     ends = spec.minimum, spec.maximum
     return Field(parameter, f"{text} ({ends[0]:g} to {ends[1]:g})", range=ends)
 
@@ -214,7 +211,7 @@ def _answered(
     given, rows = GivenLoop(settings), []
     for row, state in enumerate(states):
         if row == _RETUNE_AT:
-            given.loop.retune(settings.with_parameters(_gains(retuned)))
+            given.loop.retune(replace(settings, gains=retuned.gains))
             given.loop.retune(retuned)
         rows.append(state._replace(effort=given.step(*state[:-1])))
     return rows
@@ -226,33 +223,21 @@ def _rounded(state: GoldenRow) -> GoldenRow:
     return GoldenRow(stamp_ns, *rounded)  # type: ignore[arg-type]
 
 
-def _gains(settings: LoopSettings) -> dict[str, float]:
-    gains = settings.gains
-    return {"gains.p": gains.p, "gains.i": gains.i, "gains.d": gains.d}
-
-
 def _retuned(settings: LoopSettings) -> LoopSettings:
     """Return the settings with other gains and another degree, where they can have them."""
     gains = settings.gains
     changes = {"gains.p": 1.1 * gains.p, "gains.i": 0.9 * gains.i, "gains.d": 1.05 * gains.d}
-    for change in ({**changes}, {"mu": 0.75 * settings.mu}):
-        try:
+    for change in (changes, {"mu": 0.75 * settings.mu}):
+        with suppress(HpidError):  # a gain at its end, or a floor that then has no room
             settings = settings.with_parameters(change)
-        except HpidError:  # a gain at its end, or a floor that then has no room
-            continue
     return settings
 
 
-def _swing(settings: LoopSettings) -> tuple[float, float]:
-    """Return middle and amplitude of a swing that stays between the stops, in [rad]."""
+def _undisturbed(settings: LoopSettings) -> list[GoldenRow]:
+    """Return states at even stamps, between the stops; efforts are still to come."""
     lower, upper = settings.motion.lower, settings.motion.upper
     amplitude = min(_LARGEST_SWING, 0.4 * (upper - lower))
-    return min(max(0.0, lower + amplitude), upper - amplitude), amplitude
-
-
-def _undisturbed(settings: LoopSettings) -> list[GoldenRow]:
-    """Return states at even stamps; efforts are still to come."""
-    middle, amplitude = _swing(settings)
+    middle = min(max(0.0, lower + amplitude), upper - amplitude)
     period = settings.timing.control_period
     chance = random.Random(1)
     rows: list[GoldenRow] = []
@@ -335,15 +320,11 @@ def require_distinct(joints: Sequence[str]) -> None:
                 )
 
 
-def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[str, str]:
-    """Return the files that are a joint's loop in C99."""
-    return loop_files(c_name(settings.joint), settings, precision, source)
-
-
-def loop_files(
-    name: str, settings: LoopSettings, precision: Precision, source: str
+def c_files(
+    settings: LoopSettings, precision: Precision, source: str, name: str = ""
 ) -> dict[str, str]:
-    """Return the files of a loop whose identifiers all begin with a name."""
+    """Return the files that are a loop in C99; identifiers begin with a name, or the joint's."""
+    name = name or c_name(settings.joint)
     values = exported_values(settings)
     if precision == "single":
         in_single(settings)

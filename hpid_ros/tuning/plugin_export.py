@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import yaml
@@ -13,10 +13,10 @@ import yaml
 from hpid_ros import __version__
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control.reference import LARGEST_POSITION
-from hpid_ros.control.settings import LARGEST_MOTION, PARAMETERS, LoopSettings
+from hpid_ros.control.settings import LARGEST_MOTION, PARAMETERS, Value
 from hpid_ros.stability.gain_boxes import GainRange
 from hpid_ros.stability.gain_check import CERTIFICATES
-from hpid_ros.tuning.c_export import FIELDS, c_name, exported_values, loop_files, plain, templates
+from hpid_ros.tuning.c_export import FIELDS, c_files, c_name, exported_values, plain, templates
 
 _PACKAGE = re.compile(r"[a-z](?:_?[a-z0-9])+")  # REP 144
 _NODE = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # what a node's name may begin with
@@ -74,18 +74,26 @@ def package_files(
     ``joints_file`` is the content of a parameter file of the joints' controllers.
     """
     loops = [each.settings for each in ranges]
-    certificates = _certificates(ranges)
+    allowed = {each.settings.joint: _allowed(each) for each in ranges}
+    proofs = {
+        each.settings.joint: [corner.to_mapping() for box in each.boxes for corner in box.corners]
+        for each in ranges
+        if each.boxes
+    }
+    # What hpid check-gains verifies, and for which gains and degrees it stands.
+    document = {"gain_ranges": allowed, CERTIFICATES: proofs}
+    certificates = json.dumps(document, indent=1) + "\n"
     c = f"{package}_loop"
     files = {
         "config/joints.yaml": joints_file,
         "config/certificates.json": certificates,
         "src/parameters.yaml": yaml.safe_dump(_parameters(package), sort_keys=False, width=100),
     }
-    own = loop_files(c, loops[0], "double", source)
+    own = c_files(loops[0], "double", source, c)
     files |= {f"src/{c}{end}": own[f"{c}{end}"] for end in (".h", ".c")}
     for each in loops:
         golden = f"{c_name(each.joint)}_golden.h"
-        files[f"test/{golden}"] = loop_files(c_name(each.joint), each, "double", source)[golden]
+        files[f"test/{golden}"] = c_files(each, "double", source)[golden]
     texts: dict[str, Any] = {
         "package": package,
         "c": c,
@@ -97,8 +105,11 @@ def package_files(
         "launched": _LAUNCHED,
         "fields": FIELDS,
         "joints": [each.joint for each in loops],
-        "loops": [_tested(each) for each in loops],
-        "certificates": [_of_joint(each) for each in ranges],
+        "loops": [
+            {"joint": each.joint, "c": c_name(each.joint), "settings": exported_values(each)}
+            for each in loops
+        ],
+        "certificates": [*allowed.values()],
         "allowed": [(each.settings.joint, str(each)) for each in ranges],
         "sha256": hashlib.sha256(certificates.encode()).hexdigest(),
         "largest_position": LARGEST_POSITION,
@@ -111,21 +122,7 @@ def package_files(
     return files
 
 
-def _certificates(ranges: Sequence[GainRange]) -> str:
-    """Return what `hpid check-gains` verifies, and for which gains and degrees it stands."""
-    proofs = {
-        each.settings.joint: [corner.to_mapping() for box in each.boxes for corner in box.corners]
-        for each in ranges
-        if each.boxes
-    }
-    document = {
-        "gain_ranges": {each.settings.joint: _of_joint(each) for each in ranges},
-        CERTIFICATES: proofs,
-    }
-    return json.dumps(document, indent=1) + "\n"
-
-
-def _of_joint(found: GainRange) -> dict[str, Any]:
+def _allowed(found: GainRange) -> dict[str, Any]:
     return {
         "joint": found.settings.joint,
         "inertia": found.inertia,
@@ -149,49 +146,33 @@ def _parameters(package: str) -> dict[str, Any]:
         place = root
         for each in groups:
             place = place.setdefault(each, {})
-        field, kind = exported.get(name), type(spec.default)
-        own: dict[str, Any] = {"type": _TYPES.get(kind, "string")}
-        own |= {"default_value": spec.default or kind(), "description": spec.description}
-        if field is None:
-            own["read_only"] = True
-        if field is not None and field.range:
-            own["validation"] = {"bounds<>": list(field.range)}
-        elif field is not None and field.choices:
-            own["validation"] = {"one_of<>": [list(field.choices)]}
-        elif name == "state_clock":
-            own["validation"] = {"one_of<>": [list(spec.choices)]}
-        elif field is None and name != "joint" and kind is not bool:
-            kinds = {"bounds<>": [spec.default] * 2, "one_of<>": [[spec.default]]}
-            rule = "bounds<>" if kind is float else "one_of<>"
-            own["validation"] = {rule: kinds[rule]}
+        field = exported.get(name)
+        own = _declared(spec.default, spec.description, is_fixed=field is None)
+        if isinstance(spec.default, float):
+            ends = field.range if field is not None and field.range else (spec.default,) * 2
+            own["validation"] = {"bounds<>": list(ends)}
+        elif isinstance(spec.default, str) and name != "joint":
+            choices = field.choices if field is not None else (spec.default,)
+            choices = spec.choices if name == "state_clock" else choices
+            own["validation"] = {"one_of<>": [list(choices)]}
         place[last] = own
-    return {package: {**root, **_OF_THE_NODE}}
+    for name, default, description in _OF_THE_NODE:
+        root[name] = _declared(default, description, is_fixed=True)
+    return {package: root}
+
+
+def _declared(default: Value, description: str, *, is_fixed: bool) -> dict[str, Any]:
+    own = {"type": _TYPES[type(default)], "default_value": default, "description": description}
+    return {**own, "read_only": True} if is_fixed else own
 
 
 _TYPES = {float: "double", bool: "bool", str: "string"}
-_OF_THE_NODE: Mapping[str, Any] = {
-    "robot_description": {
-        "type": "string",
-        "default_value": "",
-        "description": "Not used: give the robot's URDF to hpid export --urdf",
-        "read_only": True,
-    },
-    "introspection_rate": {
-        "type": "double",
-        "default_value": 20.0,
-        "description": "Of ~/reference and ~/terms [Hz]; 0 is off, negative is every sample",
-        "read_only": True,
-    },
-    "require_certificate": {
-        "type": "bool",
-        "default_value": True,
-        "description": "What is outside the certificate is always refused",
-        "read_only": True,
-    },
-}
-
-
-def _tested(settings: LoopSettings) -> dict[str, Any]:
-    """Return what the package's own tests need of a joint."""
-    name, values = c_name(settings.joint), exported_values(settings)
-    return {"joint": settings.joint, "c": name, "settings": values}
+_OF_THE_NODE: Sequence[tuple[str, Value, str]] = (
+    ("robot_description", "", "Not used: give the robot's URDF to hpid export --urdf"),
+    (
+        "introspection_rate",
+        20.0,
+        "Of ~/reference and ~/terms [Hz]; 0 is off, negative is every sample",
+    ),
+    ("require_certificate", True, "What is outside the certificate is always refused"),
+)
