@@ -42,7 +42,6 @@ _LEAST_SAMPLES = 8  # in a cycle
 class RelayCycle:
     """A limit cycle."""
 
-    begin: float  # [s] when its first whole cycle begins
     cycles: int  # whole cycles that were used
     period: float  # [s] ultimate period
     spread: float  # standard deviation of the periods over their mean
@@ -81,7 +80,6 @@ def relay_cycle(
     scale = 4.0 * amplitude / (math.pi * leading**2)
     in_phase = math.sqrt(leading**2 - hysteresis**2)
     return RelayCycle(
-        begin,
         cycles,
         period,
         float(np.std(np.diff(ups))) / period,

@@ -86,17 +86,16 @@ def _amendment(
     ratio, whose = (ratio, "as before") if abs(ratio) != 1.0 else (_RATIO, "made up")
     entries, notes = [], []
     for name, key in names.items():
-        estimate = each.estimates.get(name)
-        if estimate is not None and estimate.is_reliable:
-            reason = interval(estimate, unit(name, is_slide))
-            if key == "rotor_inertia":
-                entries.append(f"gear_ratio: {_number(ratio)}  # {whose}; only Jr N^2 is known")
-                reason = f"Jr N^2 {_number(estimate.value)} {reason}"
-            value = estimate.value / (ratio**2 if key == "rotor_inertia" else 1.0)
-            entries.append(f"{key}: {_number(value)}  # {reason}")
-        else:
+        estimate = each.reliable(name)
+        if estimate is None:
             why = each.unreliable.get(name) or each.unreliable.get(each.joint) or "not looked for"
             notes.append(f"# {key} is not told: {_one_line(why)}")
+            continue
+        value, reason = estimate.value, interval(estimate, unit(name, is_slide))
+        if name == INERTIA:
+            entries.append(f"gear_ratio: {_number(ratio)}  # {whose}; only Jr N^2 is known")
+            value, reason = value / ratio**2, f"Jr N^2 {_number(value)} {reason}"
+        entries.append(f"{key}: {_number(value)}  # {reason}")
     if entries:
         yield f"    {_quoted(each.joint)}:"
         yield from (f"      # {_one_line(remark)}" for remark in each.remarks)
@@ -221,7 +220,13 @@ def identification_figure(
     drawn = [axes for axes, each in zip(grid[:, 0], found, strict=True) if each.fit is not None]
     if drawn:
         drawn[-1].set_xlabel("time [s]")
-    add_legend(figure, _handles())
+    handles = [
+        Line2D([], [], color=_MEASURED, linewidth=3.0, label="measured"),
+        Line2D([], [], color=_PREDICTED, linewidth=1.3, label="predicted"),
+        Line2D([], [], color=_PREDICTED, linewidth=0.5, alpha=0.5, label="left out"),
+        Line2D([], [], color=_RESIDUAL, linewidth=0.9, label="residual"),
+    ]
+    add_legend(figure, handles)
     return laid_out(figure)
 
 
@@ -269,15 +274,6 @@ def _wrapped(text: str) -> list[str]:
     return textwrap.wrap(text, _LINE_LENGTH, subsequent_indent="  ")
 
 
-def _handles() -> list[Line2D]:
-    return [
-        Line2D([], [], color=_MEASURED, linewidth=3.0, label="measured"),
-        Line2D([], [], color=_PREDICTED, linewidth=1.3, label="predicted"),
-        Line2D([], [], color=_PREDICTED, linewidth=0.5, alpha=0.5, label="left out"),
-        Line2D([], [], color=_RESIDUAL, linewidth=0.9, label="residual"),
-    ]
-
-
 _MILLISECONDS = 1e3
 _NONE = "–"
 _OF_SLIDES = "kg, N s/m and N, where joints that turn have kg m², N m s/rad and N m"
@@ -316,36 +312,30 @@ def _caption(has_robot: bool) -> str:
 
 
 def _table(found: RobotIdentification, has_robot: bool) -> WideTable:
-    joints, moved = found.joints, found.moved
+    joints = found.joints
 
     def estimates(heading: str, name: str, factor: float = 1.0) -> TableColumn:
-        return TableColumn(heading, [_cell(each, name, factor) for each in joints])
+        known = [each.estimates.get(name) for each in joints]
+        return TableColumn(heading, [_plain(each, factor) if each else _NONE for each in known])
 
     columns = [estimates("rotor" if has_robot else "inertia", INERTIA)]
     if has_robot:
-        columns.append(TableColumn("moves", [_range(moved.get(each.joint)) for each in joints]))
+        moved = [found.moved.get(each.joint) for each in joints]
+        ranges = [f"{each.least:.3g} … {each.largest:.3g}" if each else _NONE for each in moved]
+        columns.append(TableColumn("moves", ranges))
+    fits = [
+        f"{math.floor(each.explained * 1000.0) / 10.0:.1f} %" if each.rows else _NONE
+        for each in joints
+    ]
     columns += [
         estimates("viscous", VISCOUS),
         estimates("Coulomb", COULOMB),
         estimates("load", OFFSET),
         estimates("delay", DELAY, _MILLISECONDS),
-        TableColumn("fit", [_percent(each) for each in joints]),
+        TableColumn("fit", fits),
     ]
     names = TableColumn("joint", [shown(each.joint) for each in joints], is_text=True)
     return WideTable([names], columns)
-
-
-def _percent(each: JointIdentification) -> str:
-    return f"{math.floor(each.explained * 1000.0) / 10.0:.1f} %" if each.rows else _NONE
-
-
-def _range(moved: MovedInertia | None) -> str:
-    return _NONE if moved is None else f"{moved.least:.3g} … {moved.largest:.3g}"
-
-
-def _cell(each: JointIdentification, name: str, factor: float = 1.0) -> str:
-    estimate = each.estimates.get(name)
-    return _NONE if estimate is None else _plain(estimate, factor)
 
 
 def with_interval(value: float, half_width: float) -> str:
@@ -376,7 +366,8 @@ def _of_joint(each: JointIdentification, is_slide: bool) -> Iterator[str]:
         if names == [each.joint]:
             yield f"  nothing found: {reason}"
         else:
-            yield f"  {', '.join(map(_words, names))} not told: {reason}"
+            words = [_SHORT.get(name, name) for name in names]
+            yield f"  {', '.join(words)} not told: {reason}"
 
 
 def _further(each: JointIdentification, is_slide: bool) -> Iterator[str]:
@@ -406,8 +397,7 @@ def _plain(estimate: Estimate, factor: float = 1.0) -> str:
     return text if estimate.is_reliable else f"({text})"
 
 
-def _words(name: str) -> str:
-    return {GRAVITY_SIN: "gravity", OFFSET: "load", EFFORT_SCALE: "effort scale"}.get(name, name)
+_SHORT = {GRAVITY_SIN: "gravity", OFFSET: "load", EFFORT_SCALE: "effort scale"}
 
 
 def as_mapping(found: RobotIdentification) -> dict[str, Any]:

@@ -61,13 +61,12 @@ def loop_statistics(series: JointSeries, filter_time_constant: float) -> LoopSta
     largest = float(np.max(np.abs(error)))
     if largest == 0.0:
         raise SettingError(f"the error of {series.joint!r} is zero throughout the bag")
-    period = float(np.median(np.diff(series.state_stamps_ns))) * SECONDS_PER_NANOSECOND
     return LoopStatistics(
         largest_error=largest,
         mean_square_error=float(np.mean(np.square(error))),
         largest_rate=_largest_rate(series, filter_time_constant),
         resolution=position_resolution(series),
-        period=period,
+        period=median_period(series),
         states=len(error),
     )
 
@@ -83,6 +82,10 @@ def _largest_rate(series: JointSeries, filter_time_constant: float) -> float:
         rate += dt / (filter_time_constant + dt) * (step / dt - rate)
         largest = max(largest, abs(rate))
     return float(largest)
+
+
+def median_period(series: JointSeries) -> float:
+    return float(np.median(np.diff(series.state_stamps_ns))) * SECONDS_PER_NANOSECOND
 
 
 def position_resolution(series: JointSeries) -> float:

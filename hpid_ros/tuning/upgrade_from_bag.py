@@ -15,7 +15,6 @@ import numpy as np
 
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.processes import raise_if_interrupted
-from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.run import measures_velocity, read_run
 from hpid_ros.messages.selection import BagSelection
@@ -50,6 +49,7 @@ from hpid_ros.tuning.upgrade import (
     Proposals,
     Upgrade,
     effort_limits,
+    median_period,
     position_resolution,
     propose,
     worthwhile,
@@ -113,10 +113,6 @@ def position_noise(series: JointSeries, resolution: float) -> float:
     whole = float(np.median(each)) / _THIRD_DIFFERENCE
     noise = math.sqrt(max(0.0, whole - resolution**2 / 12.0))
     return 0.0 if noise < _BELOW_A_COUNT * resolution else noise
-
-
-def median_period(series: JointSeries) -> float:
-    return float(np.median(np.diff(series.state_stamps_ns))) * SECONDS_PER_NANOSECOND
 
 
 def _amendment(found: JointIdentification, limit: float) -> JointAmendment:
