@@ -82,9 +82,9 @@ def growth_rates(shapes: Numbers, degrees: Sequence[float]) -> Numbers:
 class SphereGrid:
     r"""The points on which P are tried for one loop of one degree.
 
-    Works in the loop's own units: time in 1/ki^(1/3), so that the integral gain is one. Half of
-    the directions in the plane of error and rate are even for the norm, half for the sphere,
-    whose ends may be thin.
+    Works in the loop's own units: time in 1/ki^(1/3), so that the integral gain is one; P may be
+    given in those of another rate [1/s]. Half of the directions in the plane of error and rate are
+    even for the norm, half for the sphere, whose ends may be thin.
 
     At a direction on the rim, carried inward by the dilation, error, rate and the terms of the
     law are each a number times a power of the depth. With the height h above the plane of
@@ -96,8 +96,12 @@ class SphereGrid:
     products of two thin matrices, and a fine grid costs little more than its square roots.
     """
 
-    def __init__(self, gains: Gains, norm: Norm, along: int, inward: int) -> None:
+    def __init__(
+        self, gains: Gains, norm: Norm, along: int, inward: int, unit_of_shapes: float = 0.0
+    ) -> None:
         self._unit = unit = time_unit(gains)
+        scales = (unit / (unit_of_shapes or unit)) ** np.arange(3.0)
+        self._to_own = np.multiply.outer(scales, scales)
         self._norm = norm
         self.degree = degree = norm.degree
         self._gains = np.array([gains.p / unit**2, gains.d / unit])
@@ -113,6 +117,7 @@ class SphereGrid:
 
     def rates(self, shapes: Numbers) -> Numbers:
         """Return x'P f(x) at every point of x'P x = 1, in units of ki^(1/3); negative is good."""
+        shapes = shapes * self._to_own
         rates = self._away_from_pole(*self._factors(shapes))
         pole = shapes[..., 1, 2, None] / shapes[..., 2, 2, None]
         return np.concatenate([rates.reshape(*shapes.shape[:-2], -1), pole], axis=-1)
@@ -123,6 +128,7 @@ class SphereGrid:
         Some directions at a time: what a processor has at hand is read faster than it is
         computed, and a fine grid is larger than that.
         """
+        shapes = shapes * self._to_own
         square, flat, steep, p23, p33 = self._factors(shapes)
         largest = shapes[..., 1, 2] / shapes[..., 2, 2]
         depths, count = self._lines.shape[1], int(np.prod(largest.shape))

@@ -28,7 +28,6 @@ from hpid_ros.stability.closed_loop import (
     CertifiedSpan,
     DegreeInterval,
     Matrix,
-    Norm,
     effective_gains,
 )
 from hpid_ros.stability.gain_check import Loop, certified_degrees, kind_of, physical_units
@@ -219,7 +218,7 @@ def _shape(corners: Sequence[Certificate], start: Numbers) -> Numbers | None:
     unit = float(np.median(units))
     scale = np.multiply.outer(*[unit ** np.arange(3.0)] * 2)
     grids = [
-        _Grid(effective_gains(each.gains, span.inertia), norm, unit)
+        SphereGrid(effective_gains(each.gains, span.inertia), norm, *_COARSE, unit)
         for each in corners
         for span in each.spans
         for norm in (span.norms[0], span.norms[-1])
@@ -228,17 +227,3 @@ def _shape(corners: Sequence[Certificate], start: Numbers) -> Numbers | None:
     if not worst_rate(grids, shape) < 0.0:
         return None
     return np.asarray(0.5 * (shape + shape.T) / scale)
-
-
-class _Grid(SphereGrid):
-    """The points of one corner, for P in the units of all of them."""
-
-    def __init__(self, gains: Gains, norm: Norm, unit: float) -> None:
-        super().__init__(gains, norm, *_COARSE)
-        self._to_own = np.multiply.outer(*[(time_unit(gains) / unit) ** np.arange(3.0)] * 2)
-
-    def rates(self, shapes: Numbers) -> Numbers:
-        return super().rates(shapes * self._to_own)
-
-    def largest_rates(self, shapes: Numbers) -> Numbers:
-        return super().largest_rates(shapes * self._to_own)

@@ -172,7 +172,12 @@ class DegreeChecker:
         rounded = tuple(float(f"{each:.{_GAIN_DIGITS}g}") for each in (gains.p, gains.i, gains.d))
         key = (rounded, settings.mu, settings.norm_family)
         if key not in self._known:
-            self._known[key] = _reason(settings)
+            try:
+                certify_degree(settings.gains, make_norm(settings), settings.plant_inertia)
+            except (GainError, NormError) as error:
+                self._known[key] = f"not certified at mu = {settings.mu:g}: {error}"
+            else:
+                self._known[key] = ""
         return self._known[key]
 
 
@@ -183,14 +188,6 @@ def _instability(gains: Gains, inertia: float) -> str:
         f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed i x inertia = "
         f"{gains.i * inertia:g}"
     )
-
-
-def _reason(settings: LoopSettings) -> str:
-    try:
-        certify_degree(settings.gains, make_norm(settings), settings.plant_inertia)
-    except (GainError, NormError) as error:
-        return f"not certified at mu = {settings.mu:g}: {error}"
-    return ""
 
 
 LARGEST_SAMPLING_MARGIN, LARGEST_SAMPLING_MARGIN_LATE = 2.0, 0.85
