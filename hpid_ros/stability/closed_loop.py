@@ -242,7 +242,6 @@ class Certificate:
         )
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return what JSON can hold."""
         return {
             "format": FORMAT,
             "gains": {"p": self.gains.p, "i": self.gains.i, "d": self.gains.d},
@@ -288,7 +287,6 @@ class DegreeInterval(NamedTuple):
     certificate: Certificate  # what proves it
 
     def contains(self, degree: float) -> bool:
-        """Return whether a degree is certified."""
         return self.lower <= degree <= self.upper
 
 

@@ -268,7 +268,6 @@ class FrozenLoop:
 
     @cached_property
     def gains(self) -> Gains:
-        """The gains at this multiplier."""
         own, factor = self.settings.gains, self.multiplier
         return Gains(own.p * factor**2, own.i * factor**3, own.d * factor)
 

@@ -74,7 +74,6 @@ def certified_degrees(
 
 
 def kind_of(settings: LoopSettings, inertia: tuple[float, float]) -> LoopKind:
-    """Return a loop's kind."""
     least, largest = inertia
     rate, norm = _rate(settings.gains, largest), settings.norm_family
     numbers = (

@@ -73,7 +73,6 @@ class Field(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The member's name."""
         return self.parameter.replace(".", "_")
 
     def enumerator(self, prefix: str, choice: str) -> str:

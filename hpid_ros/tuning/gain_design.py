@@ -96,7 +96,6 @@ class _Loop:
         self.delay, self._filter_time = delay, filter_time
 
     def response(self, frequency: Numbers) -> NDArray[np.complex128]:
-        """Return L(jw)."""
         s = 1j * frequency
         derivative = self._gains.d * s / (self._filter_time * s + 1.0)
         controller = self._gains.p + self._gains.i / s + derivative

@@ -71,17 +71,14 @@ class Estimate:
 
     @property
     def low(self) -> float:
-        """Lower end of the interval."""
         return self.value - self.half_width
 
     @property
     def high(self) -> float:
-        """Upper end of the interval."""
         return self.value + self.half_width
 
     @property
     def is_reliable(self) -> bool:
-        """Whether it can be relied on."""
         return not self.reason
 
 
@@ -197,7 +194,6 @@ class Model(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """What the columns stand for."""
         given = {
             INERTIA: True,
             VISCOUS: True,
@@ -224,7 +220,6 @@ class Solution(NamedTuple):
         return float(self.fit.values[self.model.names.index(name)])
 
     def half_width(self, name: str) -> float:
-        """Return half of a coefficient's 95 % interval."""
         return float(self.fit.critical * self.fit.deviations[self.model.names.index(name)])
 
     def probability_of_none(self, *names: str) -> float:
@@ -280,7 +275,6 @@ class Equation:
 
     @property
     def used_rows(self) -> int:
-        """Rows that count."""
         return int(np.count_nonzero(self.weight))
 
     def is_inside(self, delay: float) -> bool:

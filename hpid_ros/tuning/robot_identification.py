@@ -37,7 +37,6 @@ class BaseMotion(NamedTuple):
 
     @property
     def is_moving(self) -> bool:
-        """Whether it did not stand still."""
         return self.way > _STILL or self.turn > _STILL
 
     def __str__(self) -> str:
@@ -129,7 +128,6 @@ def identify_robot(
     bag_name: str = "the recording",
     base: BaseMotion | None = None,
 ) -> RobotIdentification:
-    """Identify joints."""
     for joint in asked or ():
         if joint not in recording.joint_names:
             raise SettingError(unknown_name("joint", joint, recording.joint_names))

@@ -67,7 +67,6 @@ class JointIdentification:
 
     @property
     def is_found(self) -> bool:
-        """Whether there is any number."""
         return bool(self.estimates)
 
     def reliable(self, name: str) -> Estimate | None:

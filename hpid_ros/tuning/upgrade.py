@@ -428,7 +428,6 @@ def upgrade_text(
     notes: Mapping[str, Sequence[str]],
     slides: Collection[str] = frozenset(),
 ) -> str:
-    """Return the file."""
     settings = [each.settings if isinstance(each, Upgrade) else each for each in loops]
     joints = ", ".join(each.joint for each in settings)
     lines = [*(f"# {shown(line)}".rstrip() for line in header), ""]
@@ -444,7 +443,6 @@ def upgrade_text(
 def controller_section(
     name: str, loop: Upgrade | LoopSettings, notes: Sequence[str], *, is_slide: bool
 ) -> list[str]:
-    """Return the lines of one controller."""
     settings, reasons = (loop.settings, loop.reasons) if isinstance(loop, Upgrade) else (loop, {})
     said = [f"# {shown(note)}" for note in notes]
     parameters = _parameters(settings, reasons)

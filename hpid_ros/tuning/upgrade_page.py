@@ -119,7 +119,6 @@ ASSUMED = (
 
 
 def render(found: BagUpgrade, files: Mapping[str, Path]) -> str:
-    """Return the page as the text of an HTML file."""
     sections: dict[str, Sequence[Block]] = {
         "What was found": [*_found(found)],
         "What is assumed": [*_assumed(found)],
@@ -246,11 +245,7 @@ def _cells(expected: Sequence[Expected]) -> list[list[Cell]]:
 
 def _found(found: BagUpgrade) -> Iterator[Block]:
     yield Heading("The joints")
-    yield PlainTable(
-        "What was identified",
-        _identified_headings(found),
-        [_identified(each, found) for each in found.identification.joints],
-    )
+    yield _identified(found)
     yield Paragraph(
         "± is half of the 95 % interval; in brackets: not told by the recording. Rotor: reflected "
         "inertia that the links do not have. Moves: what the motor moves along the motion, links "
@@ -297,37 +292,29 @@ def _found(found: BagUpgrade) -> Iterator[Block]:
     )
 
 
-def _identified_headings(found: BagUpgrade) -> tuple[str, ...]:
-    slides = [each.joint in found.identification.slides for each in found.identification.joints]
+def _identified(found: BagUpgrade) -> PlainTable:
+    joints, moved = found.identification.joints, found.identification.moved
+    slides = [each.joint in found.identification.slides for each in joints]
     inertia, friction, effort, angle = (
         unit_over(each, slides).replace("^2", "²")
         for each in ("kg m^2", "N m s/rad", "N m", "rad")
     )
-    return (
-        "joint",
-        f"rotor [{inertia}]",
-        f"moves [{inertia}]",
-        f"viscous [{friction}]",
-        f"Coulomb [{effort}]",
-        "delay [ms]",
-        f"noise [{angle}]",
-        "fit",
-    )
-
-
-def _identified(each: JointIdentification, found: BagUpgrade) -> list[str]:
-    moved = found.identification.moved.get(each.joint)
-    facts = found.model.facts.get(each.joint)
-    return [
-        each.joint,
-        _estimate(each, INERTIA),
-        NOTHING if moved is None else f"{moved.least:.3g} … {moved.largest:.3g}",
-        _estimate(each, VISCOUS),
-        _estimate(each, COULOMB),
-        _estimate(each, DELAY, _MILLISECONDS),
-        NOTHING if facts is None else f"{facts.noise:.2g}",
-        f"{100.0 * each.explained:.1f} %" if each.is_found else NOTHING,
-    ]
+    ranges = {name: f"{each.least:.3g} … {each.largest:.3g}" for name, each in moved.items()}
+    noises = {name: f"{facts.noise:.2g}" for name, facts in found.model.facts.items()}
+    columns = {
+        "joint": [each.joint for each in joints],
+        f"rotor [{inertia}]": [_estimate(each, INERTIA) for each in joints],
+        f"moves [{inertia}]": [ranges.get(each.joint, NOTHING) for each in joints],
+        f"viscous [{friction}]": [_estimate(each, VISCOUS) for each in joints],
+        f"Coulomb [{effort}]": [_estimate(each, COULOMB) for each in joints],
+        "delay [ms]": [_estimate(each, DELAY, _MILLISECONDS) for each in joints],
+        f"noise [{angle}]": [noises.get(each.joint, NOTHING) for each in joints],
+        "fit": [
+            f"{100.0 * each.explained:.1f} %" if each.is_found else NOTHING for each in joints
+        ],
+    }
+    rows = [list(row) for row in zip(*columns.values(), strict=True)]
+    return PlainTable("What was identified", [*columns], rows)
 
 
 def _estimate(found: JointIdentification, name: str, factor: float = 1.0) -> str:

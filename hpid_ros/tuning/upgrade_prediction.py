@@ -83,7 +83,6 @@ class Prediction:
         return all(1.0 / _FAR <= each <= _FAR for each in totals)
 
     def as_text(self) -> str:
-        """Return the prediction as JSON."""
         joints = {
             name: {
                 "indices": {key: each._asdict() for key, each in known.items()},
@@ -107,7 +106,6 @@ def over(value: float, other: float) -> float:
 
 
 def read_prediction(path: Path) -> Prediction:
-    """Read a prediction."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
