@@ -434,12 +434,10 @@ class BagUpgrade:
 
         By how far the simulated PID is from the recorded one, also before noise was fitted.
         """
-        simulated, found = run_indices(self.before), {}
-        for name, explained in self._explained.items():
-            ratios = [explained]
-            ratios += [
-                _ratio(simulated.value(x, name), self._target.value(x, name)) for x in JUDGED
-            ]
+        plain, simulated, found = run_indices(self._plain), run_indices(self.before), {}
+        judged = [(plain, IVC), *((simulated, index) for index in JUDGED)]
+        for name in (each.joint for each in self.loops):
+            ratios = [_ratio(run.value(x, name), self._target.value(x, name)) for run, x in judged]
             misfits = [abs(math.log(x)) if 0.0 < x < math.inf else math.inf for x in ratios]
             found[name] = _LEAST_DOUBT + _DOUBT_OF_MISFIT * max(misfits)
         return found
@@ -453,19 +451,19 @@ class BagUpgrade:
         return math.fsum(sizes[x] * self.doubts[x] for x in sizes if sizes[x]) / (whole or 1.0)
 
     @cached_property
+    def _plain(self) -> RunSeries:
+        """The PID, simulated with the noise that the positions show; before noise is fitted."""
+        return self._simulated(SIMULATED, self.loops)
+
+    @cached_property
     def before(self) -> RunSeries:
         """The PID, simulated with the noise that explains how its efforts vary."""
-        plain = self._simulated(SIMULATED, self.loops)
-        names, target = [each.joint for each in self.loops], self._target
-        self._explained = {
-            name: _ratio(run_indices(plain).value(IVC, name), target.value(IVC, name))
-            for name in names
-        }
+        plain = self._plain
         aims = {each.joint: _quiet_variation(each) for each in self.recording.joints}
         was = {each.joint: _quiet_variation(each) for each in plain.joints}
         search = {
             name: _NoiseSearch.begun(self.model.facts[name])
-            for name in names
+            for name in (each.joint for each in self.loops)
             if name in self.model.facts and not abs(_ratio(was[name], aims[name]) - 1.0) <= _NEAR
         }
         for _ in range(_NOISE_TRIALS if search else 0):
