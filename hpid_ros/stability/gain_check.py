@@ -19,8 +19,7 @@ import numpy as np
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import Numbers
-from hpid_ros.control.assembly import make_law, make_norm
-from hpid_ros.control.homogeneous_pid import Gains, HomogeneousPid, is_hurwitz
+from hpid_ros.control.homogeneous_pid import Gains, is_hurwitz
 from hpid_ros.control.norms import CanonicalNorm, NormFamily, NormType, WeightedNorm
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.certificate_search import certified_degree_interval, certify_degree
@@ -172,7 +171,8 @@ class DegreeChecker:
         key = (rounded, settings.mu, settings.norm_family)
         if key not in self._known:
             try:
-                certify_degree(settings.gains, make_norm(settings), settings.plant_inertia)
+                norm = settings.norm_family(settings.mu)
+                certify_degree(settings.gains, norm, settings.plant_inertia)
             except (GainError, NormError) as error:
                 self._known[key] = f"not certified at mu = {settings.mu:g}: {error}"
             else:
@@ -388,11 +388,10 @@ def inertia_of(
 
 
 def _multipliers(settings: LoopSettings) -> tuple[float, float]:
-    law = make_law(settings)
-    if not isinstance(law, HomogeneousPid):
+    if settings.degree == 0.0:
         return 1.0, 1.0
-    cap = min(law.norm_cap, LARGEST_NORM)
-    return multiplier_range(settings.degree, min(law.norm_floor, cap), cap)
+    cap = min(settings.norm.cap, LARGEST_NORM)
+    return multiplier_range(settings.degree, min(settings.norm_floor, cap), cap)
 
 
 CERTIFICATES = "certificates"

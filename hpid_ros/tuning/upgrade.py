@@ -15,9 +15,7 @@ from hpid_ros.base.errors import GainError, HpidError, NormError, SettingError
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND, of_slide, unit_over
-from hpid_ros.control.assembly import make_law
 from hpid_ros.control.controller_files import INERTIA_RANGES
-from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.control.settings import LARGEST_EFFORT, PARAMETERS, LoopSettings, Value
 from hpid_ros.messages.series import JointSeries
@@ -363,10 +361,7 @@ def _excess(settings: LoopSettings, interval: tuple[float, float], inertia: floa
     lower, upper = (_SHARE_OF_INTERVAL * end for end in interval)
     if not lower <= settings.mu <= upper:
         return "leaves the inner four fifths of the certified interval"
-    law = make_law(settings)
-    if not isinstance(law, HomogeneousPid):
-        raise GainError("only the homogeneous law has a degree")
-    multiplier = law.norm_floor**settings.mu
+    multiplier = settings.norm_floor**settings.mu
     if not _SLOWEST <= multiplier <= _FASTEST:
         return f"multiplies the bandwidth by {multiplier:.2f} at the norm's floor"
     margin = sampling_margin(
