@@ -74,14 +74,7 @@ class GainRange(NamedTuple):
         return f"mu {lower:+.3f} to {upper:+.3f}; at its own {gains}"
 
 
-class _Task(NamedTuple):
-    """A span of degrees, of a loop that stands for all of its kind."""
-
-    settings: LoopSettings
-    inertia: tuple[float, float]
-    span: CertifiedSpan
-
-
+_Task = tuple[LoopSettings, tuple[float, float], CertifiedSpan]  # of a loop, for all of its kind
 _Found = tuple[float, Numbers]  # how much smaller and larger the gains may be, and P
 
 
@@ -92,24 +85,26 @@ def gain_ranges(
 
     A loop that is not certified as it is is refused (``GainError``).
     """
-    first: dict[Hashable, tuple[int, list[_Task]]] = {}
-    keys = []
     intervals = certified_degrees(loops)
-    for place, ((settings, inertia), interval) in enumerate(zip(loops, intervals, strict=True)):
-        keys.append(_key(settings, inertia, interval))
-        if keys[-1] not in first:
-            first[keys[-1]] = place, _tasks(settings, inertia, interval)
-    tasks = [(key, task) for key, (_, own) in first.items() for task in own]
+    keys = [_key(*loop, interval) for loop, interval in zip(loops, intervals, strict=True)]
+    first: dict[Hashable, int] = {}
+    for place, key in enumerate(keys):
+        first.setdefault(key, place)
+    tasks: list[tuple[Hashable, _Task]] = [
+        (key, (*loops[place], span))
+        for key, place in first.items()
+        for span in _spans(loops[place][0], intervals[place])
+    ]
     boxes: dict[Hashable, list[tuple[CertifiedSpan, _Found]]] = {key: [] for key in first}
     left = Counter(key for key, _ in tasks)
     for number, found in side_by_side(_box, [task for _, task in tasks]):
         key, task = tasks[number]
-        boxes[key] += [] if found is None else [(task.span, found)]
+        boxes[key] += [] if found is None else [(task[-1], found)]
         left[key] -= 1
         if not left[key]:
             progress([loop[0].joint for loop, own in zip(loops, keys, strict=True) if own == key])
     return [
-        _range(loop, interval, loops[first[key][0]], boxes[key])
+        _range(loop, interval, loops[first[key]], boxes[key])
         for loop, interval, key in zip(loops, intervals, keys, strict=True)
     ]
 
@@ -123,19 +118,14 @@ def _key(
     return kind_of(settings, inertia), settings.degree, settings.norm.effort_scale > 0.0
 
 
-def _tasks(
-    settings: LoopSettings, inertia: tuple[float, float], interval: DegreeInterval | GainError
-) -> list[_Task]:
+def _spans(settings: LoopSettings, interval: DegreeInterval | GainError) -> list[CertifiedSpan]:
+    """Return the spans between the linear law and the loop's own, and some beyond."""
     if isinstance(interval, GainError):
         return []
     lower = min(0.0, settings.degree) - _BEYOND
     upper = max(0.0, settings.degree) + _BEYOND
     spans = {(each.lower, each.upper): each for each in interval.certificate.spans}
-    return [
-        _Task(settings, inertia, spans[ends])
-        for ends in sorted(spans)
-        if ends[0] < upper and lower < ends[1]
-    ]
+    return [spans[ends] for ends in sorted(spans) if ends[0] < upper and lower < ends[1]]
 
 
 def _range(
@@ -146,15 +136,22 @@ def _range(
 ) -> GainRange:
     """Return a loop's boxes from those of a loop of its kind."""
     settings, inertia = loop
+    gains = settings.gains
     where = f"for an inertia of {inertia[0]:g} to {inertia[1]:g} kg m^2"
-    if not settings.gains.p * settings.gains.d > settings.gains.i * inertia[1]:
+    if not gains.p * gains.d > gains.i * inertia[1]:
         raise GainError(f"{settings.joint} is not certified {where}: {interval}")
     to_own = physical_units(*loop) / physical_units(*like)
+    family = settings.norm_family
+    time = family.rate_weight * family.error_scale
     boxes = []
     for span, (factor, shape) in sorted(found, key=lambda each: each[0].lower):
-        norms = tuple(settings.norm_family(norm.degree) for norm in span.norms)
+        norms = tuple(family(norm.degree) for norm in span.norms)
         own = replace(span, norms=norms, shape=_rows(shape / np.multiply.outer(to_own, to_own)))
-        boxes.append(_gain_box(settings, inertia, own, factor))
+        p, i, d = ((gain / factor, gain * factor) for gain in (gains.p, gains.i, gains.d))
+        widest = _widest(settings, factor)
+        rate_time = time / widest, time * widest
+        corners = tuple(_corners(settings, inertia, own, factor))
+        boxes.append(GainBox((own.lower, own.upper), p, i, d, rate_time, corners))
     ranges = GainRange(settings, inertia, tuple(boxes))
     if settings.degree != 0.0 and not ranges.contains(settings.degree):
         reason = interval if isinstance(interval, GainError) else "no P holds for all of it"
@@ -187,22 +184,16 @@ def _box(task: _Task) -> _Found | None:
     return None
 
 
-def _gain_box(
-    settings: LoopSettings, inertia: tuple[float, float], span: CertifiedSpan, factor: float
-) -> GainBox:
-    gains, family = settings.gains, settings.norm_family
-    p, i, d = ((gain / factor, gain * factor) for gain in (gains.p, gains.i, gains.d))
-    widest = factor**2 if settings.norm.effort_scale else 1.0
-    time = family.rate_weight * family.error_scale
-    corners = tuple(_corners(settings, inertia, span, factor))
-    return GainBox((span.lower, span.upper), p, i, d, (time / widest, time * widest), corners)
+def _widest(settings: LoopSettings, factor: float) -> float:
+    """Return by what the weight of the rate may change with the gains."""
+    return factor**2 if settings.norm.effort_scale else 1.0
 
 
 def _corners(
     settings: LoopSettings, inertia: tuple[float, float], span: CertifiedSpan, factor: float
 ) -> Iterator[Certificate]:
     gains, family = settings.gains, settings.norm_family
-    widest = factor**2 if settings.norm.effort_scale else 1.0
+    widest = _widest(settings, factor)
     for signs in product(*[sorted({factor, 1.0 / factor})] * 3):
         corner = Gains(gains.p * signs[0], gains.i * signs[1], gains.d * signs[2])
         for weight in sorted({1.0 / widest, 1.0, widest}):
