@@ -202,10 +202,7 @@ def _equation(
         return f"it did not move (by {own.travel:.2g}): it needs a motion of its own"
     if not np.any(own.effort):
         return "its efforts are zero throughout"
-    if how.cutoff is not None:
-        kernel = Kernel(min(how.cutoff, _HIGHEST / own.period))
-    else:
-        kernel = _chosen_kernel(own, how)
+    kernel = _kernel(own, how)
     rows = Rows(records, place, kernel, how.longest_delay)
     if rows.count < _LEAST_ROWS:
         return (
@@ -218,13 +215,16 @@ def _equation(
     return equation.limited(_saturation(equation)) if own.is_held else equation
 
 
-def _chosen_kernel(record: JointRecord, how: Method) -> Kernel:
-    """Return the highest cut-off at which noise is a small part of the acceleration."""
-    best: tuple[float, Kernel] | None = None
+def _kernel(record: JointRecord, how: Method) -> Kernel:
+    """Return the low pass asked for, or the highest in which the acceleration has little noise."""
+    highest = _HIGHEST / record.period
+    if how.cutoff is not None:
+        return Kernel(min(how.cutoff, highest))
+    best, least = None, math.inf
     for cutoff in _CUTOFFS:
-        if cutoff > _HIGHEST / record.period and cutoff > _CUTOFFS[-1]:
+        if cutoff > highest and cutoff > _CUTOFFS[-1]:
             continue
-        kernel = Kernel(min(cutoff, _HIGHEST / record.period))
+        kernel = Kernel(min(cutoff, highest))
         rows = Rows([record], 0, kernel, how.longest_delay)
         if not rows.count:
             continue
@@ -233,8 +233,8 @@ def _chosen_kernel(record: JointRecord, how: Method) -> Kernel:
         # By how far the halves differ.
         noise = math.sqrt(np.mean([(np.std(a - b) / 2.0) ** 2 for a, b in accelerations]))
         share = noise**2 / max(float(np.var(acceleration)), 1e-300)
-        if best is None or share < best[0]:
-            best = share, kernel
         if share <= _NOISE:
             return kernel
-    return best[1] if best is not None else Kernel(min(_CUTOFFS[0], _HIGHEST / record.period))
+        if share < least:
+            best, least = kernel, share
+    return best or Kernel(min(_CUTOFFS[0], highest))

@@ -256,20 +256,18 @@ class _Collector:
             if each.model is not None
         }
         self._efforts = EffortReader()
-        self._takes: dict[str, Callable[[TopicBatch], None]] = {}
-        self._takes |= dict.fromkeys(choice.states, self._take_states)
-        self._takes |= dict.fromkeys(commands, self._take_commands)
-        self._takes |= dict.fromkeys(choice.references.trajectory, self._take_trajectories)
-        for take, own in (
-            (self._take_setpoints, tuple(choice.references.setpoint.values())),
-            (self._take_relays, choice.relays),
-        ):
-            joints = {topic: self._joint_of_topic(topic) for topic in own}
-            self._takes |= {
-                topic: partial(take, joint) for topic, joint in joints.items() if joint is not None
-            }
         events = [name for name, kind in types.items() if kind == PARAMETER_EVENTS]
-        self._takes |= dict.fromkeys(events, self._take_events)
+        self._takes: dict[str, Callable[[TopicBatch], None]] = {
+            **dict.fromkeys(choice.states, self._take_states),
+            **dict.fromkeys(commands, self._take_commands),
+            **dict.fromkeys(choice.references.trajectory, self._take_trajectories),
+            **dict.fromkeys(events, self._take_events),
+        }
+        own = dict.fromkeys(choice.references.setpoint.values(), self._take_setpoints)
+        for topic, take in (own | dict.fromkeys(choice.relays, self._take_relays)).items():
+            joint = self._joint_of_topic(topic)
+            if joint is not None:
+                self._takes[topic] = partial(take, joint)
         self.topics = frozenset(self._takes)
         self.commanded: set[str] = set()
         self.notes: dict[str, None] = {}  # what was left out, a line each, in order
