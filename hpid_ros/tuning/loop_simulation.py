@@ -18,8 +18,6 @@ from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.series import JointSeries, RunSeries, complete_run
-from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.results import run_indices
 from hpid_ros.motion.joint_trajectory import Column, Knot
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.drives import DriveSettings
@@ -43,18 +41,6 @@ class JointFacts(NamedTuple):
     delay: int = 0  # by which its efforts act late, in control periods
     noise: float = 0.0  # [rad] standard deviation of what is added to its position
     resolution: float | None = None  # [rad] smallest step of its measured position
-
-
-def predict(
-    robot: str,
-    loops: Mapping[str, Sequence[LoopSettings]],
-    recorded: Sequence[JointSeries],
-    fixed_base: bool = False,
-    initial_positions: Mapping[str, float] | None = None,
-) -> Comparison:
-    """Simulate controllers on a robot, as :func:`simulate` does, and compare them."""
-    runs = simulate(robot, loops, recorded, fixed_base, initial_positions)
-    return Comparison(tuple(run_indices(each) for each in runs))
 
 
 def simulate(

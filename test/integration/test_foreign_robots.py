@@ -232,21 +232,21 @@ def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
 
 @needs_bullet
 def test_predictions_start_where_the_experiment_does():
-    from hpid_ros.tuning.loop_simulation import predict
+    from hpid_ros.metrics.results import run_indices
+    from hpid_ros.tuning.loop_simulation import simulate as simulate_loops
 
     experiment = load_experiment(EXPERIMENTS / "panda.yaml")
     world = experiment.world
-    predicted = predict(
+    (predicted,) = simulate_loops(
         str(world.robot_description),
         {"PID": experiment.controllers["PID"]},
         (),
         fixed_base=True,
         initial_positions=world.initial_positions,
     )
-    (run,) = predicted.runs
     # A step of the error scale, 0.1 rad, is over in a second; an arm that falls over with its
     # base, or that starts from another pose, is not (0.4 and more in the worst joint).
-    assert all(each["itae"] < 0.02 for each in run.joints.values())
+    assert all(each["itae"] < 0.02 for each in run_indices(predicted).joints.values())
 
 
 @needs_bullet

@@ -31,9 +31,11 @@ from hpid_ros.cli.terminal import output_console
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries
+from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import INDICES
+from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.table import ComparisonTable, TableColumn, WideTable
-from hpid_ros.tuning.loop_simulation import predict
+from hpid_ros.tuning.loop_simulation import simulate
 from hpid_ros.tuning.robot_identification import visited_poses
 from hpid_ros.tuning.upgrade import (
     Certifying,
@@ -258,13 +260,10 @@ def _of_file(options: argparse.Namespace) -> int:
         with errors.status(phase):
             if not errors.is_terminal:
                 errors.print(phase)
-            comparison = predict(
-                robot.source,
-                both,
-                recorded,
-                fixed_base=robot.fixed_base,
-                initial_positions=robot.initial_positions,
+            runs = simulate(
+                robot.source, both, recorded, robot.fixed_base, robot.initial_positions
             )
+            comparison = Comparison(tuple(map(run_indices, runs)))
     notes = {joint: [f"NOT upgraded: {error}."] for joint, error in failures.items()}
     for joint, each in proposals.items():
         proposals[joint] = worthwhile(each, options.goal, comparison)
