@@ -17,6 +17,7 @@ from rich.text import Text
 from hpid_ros.base.text import figure_text, shown
 from hpid_ros.base.units import Numbers
 from hpid_ros.motion.excitation import ExcitationPlan
+from hpid_ros.report.blocks import NOTHING
 from hpid_ros.report.figures import INK, REFERENCE, RUN_STYLES
 from hpid_ros.report.style import (
     DOTS_PER_INCH,
@@ -275,7 +276,6 @@ def _wrapped(text: str) -> list[str]:
 
 
 _MILLISECONDS = 1e3
-_NONE = "–"
 _OF_SLIDES = "kg, N s/m and N, where joints that turn have kg m², N m s/rad and N m"
 
 
@@ -316,15 +316,15 @@ def _table(found: RobotIdentification, has_robot: bool) -> WideTable:
 
     def estimates(heading: str, name: str, factor: float = 1.0) -> TableColumn:
         known = [each.estimates.get(name) for each in joints]
-        return TableColumn(heading, [_plain(each, factor) if each else _NONE for each in known])
+        return TableColumn(heading, [_plain(each, factor) if each else NOTHING for each in known])
 
     columns = [estimates("rotor" if has_robot else "inertia", INERTIA)]
     if has_robot:
         moved = [found.moved.get(each.joint) for each in joints]
-        ranges = [f"{each.least:.3g} … {each.largest:.3g}" if each else _NONE for each in moved]
+        ranges = [f"{each.least:.3g} … {each.largest:.3g}" if each else NOTHING for each in moved]
         columns.append(TableColumn("moves", ranges))
     fits = [
-        f"{math.floor(each.explained * 1000.0) / 10.0:.1f} %" if each.rows else _NONE
+        f"{math.floor(each.explained * 1000.0) / 10.0:.1f} %" if each.rows else NOTHING
         for each in joints
     ]
     columns += [

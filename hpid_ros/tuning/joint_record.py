@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -160,13 +161,9 @@ def _without_gaps(times: Numbers) -> list[Span]:
 
 
 def _overlaps(ones: Sequence[Span], others: Sequence[Span]) -> list[Span]:
-    found = []
-    for one in ones:
-        for other in others:
-            begin, end = max(one.begin, other.begin), min(one.end, other.end)
-            if begin < end:
-                found.append(Span(begin, end))
-    return found
+    pairs = product(ones, others)
+    found = (Span(max(a.begin, b.begin), min(a.end, b.end)) for a, b in pairs)
+    return [each for each in found if each.begin < each.end]
 
 
 class Halves(NamedTuple):

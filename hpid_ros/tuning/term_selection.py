@@ -37,9 +37,8 @@ class Fit(NamedTuple):
     time: Numbers  # [s] (R,)
     measured: Numbers  # [N m] effort at the joint's motion, smoothed and freed of the delay, (R,)
     predicted: Numbers  # [N m] what the estimates say of it, (R,)
-    is_used: NDArray[
-        np.bool_
-    ]  # whether the row counted; where the direction is in doubt it does not, (R,)
+    # whether the row counted; where the direction is in doubt it does not, (R,)
+    is_used: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,7 @@ from hpid_ros.report.table import ComparisonTable, TableColumn, WideTable
 from hpid_ros.tuning.loop_simulation import simulate
 from hpid_ros.tuning.robot_identification import visited_poses
 from hpid_ros.tuning.upgrade import (
+    GOALS,
     Certifying,
     Upgrade,
     effort_limits,
@@ -59,7 +60,6 @@ from hpid_ros.tuning.upgrade_prediction import (
 _OUTPUT = Path("upgrade.yaml")
 _PREDICTION = Path("upgrade.json")
 _YAML = (".yaml", ".yml")
-_GOALS = ("smooth", "fast", "balanced")
 _BAGS = (".mcap", ".db3", ".zstd")
 
 
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     if options.goal is None:
         if not options.file.exists():
             raise SettingError(f"there is no parameter file and no bag {options.file}")
-        raise SettingError(f"--goal is missing: a parameter file needs {', '.join(_GOALS)}")
+        raise SettingError(f"--goal is missing: a parameter file needs {', '.join(GOALS)}")
     if options.params is not None:
         raise SettingError("--params is for a BAG; a parameter FILE says the parameters itself")
     if options.output is None:
