@@ -213,13 +213,12 @@ class _Replay:
         self._happened: tuple[int, str] = (record.begin_ns, "")
         self._senders = tuple(dict.fromkeys(each.sender for each in record.commands))
         self._sender = self._senders[0] if self._senders else ""
-        stamps = {each.stamp_ns for each in record.states}
         self._to_come = Counter(each.stamp_ns for each in record.states)
         self._answers: dict[int, list[RecordedCommand]] = {}
         self._unsolicited: dict[int, list[RecordedCommand]] = {}
         self._is_begun_before = False
         for command in record.commands:
-            self._sort(command, stamps)
+            self._sort(command)
         # For each instruction the first state that was recorded after it.
         places = [each.place for each in record.states]
         self._nominal = [bisect_left(places, each.place) for each in record.instructions]
@@ -229,9 +228,9 @@ class _Replay:
         self._log_time_ns: int | None = None
         self._last_stamp_ns: int | None = None
 
-    def _sort(self, command: RecordedCommand, stamps: set[int]) -> None:
+    def _sort(self, command: RecordedCommand) -> None:
         """Put a command to the state that it answers, or next to which it was sent."""
-        stamp_ns, states = command.stamp_ns, self._record.states
+        stamp_ns, states, stamps = command.stamp_ns, self._record.states, self._to_come
         if stamp_ns in stamps:
             self._answers.setdefault(stamp_ns, []).append(command)
             return
@@ -265,24 +264,21 @@ class _Replay:
         )
 
     def _take(self, index: int, state: RecordedState) -> None:
-        commands = self._answers.get(state.stamp_ns)
-        own = None
-        if commands:
-            own = next((each for each in commands if each.sender == self._sender), None)
-            is_repeat = state.stamp_ns == self._last_stamp_ns
-            if own is not None and is_repeat and self._is_last_zero(own):
-                own = None  # the joint was left before the state came once more
-            if own is not None:
-                commands.remove(own)
+        commands = self._answers.get(state.stamp_ns, [])
+        own = next((each for each in commands if each.sender == self._sender), None)
+        is_repeat = state.stamp_ns == self._last_stamp_ns
+        if own is not None and is_repeat and self._is_last_zero(own):
+            own = None  # the joint was left before the state came once more
         if own is None:
             self._pass_over(index, state)
         else:
+            commands.remove(own)
             self._passed_over = 0
             self._compare(index, state, own)
         self._to_come[state.stamp_ns] -= 1
         # A state that comes once more gets an answer of its own.
         is_last = not self._to_come[state.stamp_ns]
-        self._after(state, (commands or []) if is_last else [])
+        self._after(state, commands if is_last else [])
         self._log_time_ns, self._last_stamp_ns = state.log_time_ns, state.stamp_ns
 
     def _is_last_zero(self, command: RecordedCommand) -> bool:
