@@ -11,7 +11,7 @@ from nicegui import background_tasks, ui
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.live.history import extremes
-from hpid_ros.live.page.parts import Viewer, button, chart, chart_options, curve, table
+from hpid_ros.live.page.parts import COLOURS, Viewer, button, chart, chart_options, curve, table
 from hpid_ros.live.trials import KINDS, MotionWish, Stage, TrialResult, Variant
 from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import PAPER
@@ -19,7 +19,6 @@ from hpid_ros.motion.excitation import ExcitationPlan
 
 _IN_FORCE, _CHOSEN = "what is in force", "what is chosen"
 _BUCKETS = 300  # of a curve that is drawn
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 class TrialPanel:
@@ -253,6 +252,6 @@ def _decimated(times: Any, values: Any) -> list[list[float]]:
 def _curves_options(curves: Sequence[tuple[str, list[list[float]]]]) -> dict[str, Any]:
     """Return a chart of curves, those of one name up to its comma in one colour."""
     labels = list(dict.fromkeys(name.partition(",")[0] for name, _ in curves))
-    colours = {label: _COLOURS[k % len(_COLOURS)] for k, label in enumerate(labels)}
+    colours = {label: COLOURS[k % len(COLOURS)] for k, label in enumerate(labels)}
     series = [curve(name, points, colours[name.partition(",")[0]]) for name, points in curves]
     return chart_options(series, type="scroll")

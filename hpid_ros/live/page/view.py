@@ -14,7 +14,7 @@ from nicegui import ui
 from hpid_ros.live.controllers import SILENT_AFTER, Controller
 from hpid_ros.live.history import RisingCount
 from hpid_ros.live.page.panel import TuningPanel
-from hpid_ros.live.page.parts import Viewer, button, mark, table
+from hpid_ros.live.page.parts import COLOURS, Viewer, button, mark, table
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import Stage, Trials
 
@@ -52,9 +52,8 @@ class JointTable:
         return [node for node, row in self._rows.items() if row.is_chosen]
 
     @property
-    def colours(self) -> dict[str, int]:
-        """Number of each node's colour."""
-        return {node: number for number, node in enumerate(self._rows)}
+    def colours(self) -> dict[str, str]:
+        return {node: row.colour for node, row in self._rows.items()}
 
     def refresh(self) -> None:
         """Show what is known now."""
@@ -85,13 +84,14 @@ class JointTable:
 class _Row:
     def __init__(self, viewer: Viewer, node: str, number: int) -> None:
         self._viewer, self._session, self._node = viewer, viewer.session, node
+        self.colour = COLOURS[number % len(COLOURS)]
         name = self._session.label(node)
         with ui.element("tr") as self._row:
             with ui.element("td"):
                 self.box = ui.checkbox(value=number == 0)
                 self.box.props(f'dense size="sm" aria-label="choose {name}"')
             with ui.element("td").classes("joint-name"):
-                ui.element("span").classes(f"swatch colour-{number % 8}")
+                ui.element("span").classes("swatch").style(f"background: {self.colour}")
                 self.name = ui.label(name).tooltip(f"{node}; a click chooses it alone")
             with ui.element("td"):
                 self._state = ui.label().classes("state")

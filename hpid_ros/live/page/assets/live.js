@@ -5,18 +5,6 @@ import { Turns } from "./turns.js";
 const LOST_AFTER = 1500; // [ms] without a frame
 const HELD_EVERY = 100; // [ms]
 
-/** Colours that people who see red and green alike tell apart (Okabe and Ito), for both themes. */
-const COLOURS = [
-  "#0072b2",
-  "#d55e00",
-  "#009e73",
-  "#cc79a7",
-  "#e69f00",
-  "#56b4e9",
-  "#8c6d31",
-  "#7570b3",
-];
-
 const CHARTS = [
   {
     id: "position",
@@ -207,7 +195,7 @@ class LivePage {
 
   // Drawing
 
-  /** @param {{node: string, label: string, colour: number, position: string, effort: string}[]} shown */
+  /** @param {{node: string, label: string, colour: string, position: string, effort: string}[]} shown */
   show(shown, seconds) {
     this.shown = shown;
     this.seconds = seconds;
@@ -274,7 +262,7 @@ class LivePage {
           data,
           showSymbol: false,
           silent: true,
-          itemStyle: { color: COLOURS[joint.colour % COLOURS.length] },
+          itemStyle: { color: joint.colour },
           lineStyle: { width: number ? 1.2 : 1.6, type: number ? "dashed" : "solid" },
         });
       });
