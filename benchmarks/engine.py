@@ -211,12 +211,12 @@ def _bare_bullet(
     """Return what steps PyBullet through all efforts, and what tells where the joints are."""
     import pybullet
 
-    from hpid_ros.simulation.bullet import Client, build_scene, bullet_urdf
+    from hpid_ros.simulation.bullet import BulletPhysics
 
-    client = Client()
-    stack.callback(client.close)
-    scene = build_scene(client, bullet_urdf(description), description, world)
-    body, driven, steps = scene.body, scene.driven, range(world.physics_steps)
+    physics = BulletPhysics(world, description)
+    stack.callback(physics.close)
+    client, body, driven = physics.client, physics.body, physics.driven
+    steps = range(world.physics_steps)
     set_torques, mode = client.setJointMotorControlArray, pybullet.TORQUE_CONTROL
     step, read = client.stepSimulation, client.getJointStates
 

@@ -21,9 +21,8 @@ import logging
 import os
 import sys
 import tempfile
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,7 +41,7 @@ from hpid_ros.simulation.physics import (
     Twist,
     require_staying,
 )
-from hpid_ros.simulation.settings import Brick, Support, Workplace, WorldSettings
+from hpid_ros.simulation.settings import Brick, Support, WorldSettings
 
 _logger = logging.getLogger(__name__)
 _STANDARD_STREAMS = (1, 2)
@@ -109,50 +108,10 @@ class Client:
                 pybullet.disconnect(physicsClientId=number)
 
 
-def put_boxes(client: Client, boxes: Iterable[Support]) -> tuple[int, ...]:
-    bodies = []
-    for box in boxes:
-        shape = client.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=[edge / 2.0 for edge in box.size]
-        )
-        body = client.createMultiBody(
-            box.mass if isinstance(box, Brick) else 0.0,
-            shape,
-            basePosition=box.position,
-            baseOrientation=box.orientation,
-        )
-        client.changeDynamics(
-            body, -1, lateralFriction=box.friction, linearDamping=0.0, angularDamping=0.0
-        )
-        bodies.append(body)
-    return tuple(bodies)
-
-
-def let_hand_pass(client: Client, robot: int, link: int, bricks: Iterable[int]) -> None:
-    """Let a hand, all that is rigid with a link, pass bricks: it has no joint for its fingers."""
-    infos = [client.getJointInfo(robot, index) for index in range(client.getNumJoints(robot))]
-    is_fixed = [info[2] == pybullet.JOINT_FIXED for info in infos]
-    while link >= 0 and is_fixed[link]:
-        link = infos[link][16]
-    hand = {link}
-    for index, info in enumerate(infos):  # a parent comes before its children
-        if is_fixed[index] and info[16] in hand:
-            hand.add(index)
-    for index in sorted(hand):
-        for brick in bricks:
-            client.setCollisionFilterPair(robot, brick, index, -1, enableCollision=0)
-
-
-def box_pose(client: Client, body: int) -> Pose:
-    return Pose(*client.getBasePositionAndOrientation(body))
-
-
 ROTOR_SUFFIX = "__rotor"
 # The rotor's mass belongs to the housing and is part of the parent's; this one only has to be
 # positive for Bullet.
 ROTOR_MASS = 1e-6  # [kg]
-# Never reached: a limit would let the gear slip.
-GEAR_FORCE = 1e6  # [N m]
 
 
 def add_rotors(robot: ElementTree.Element, joints: Iterable[JointDescription]) -> None:
@@ -174,28 +133,6 @@ def add_rotors(robot: ElementTree.Element, joints: Iterable[JointDescription]) -
             found = element.find(tag)
             if found is not None:
                 rotor.append(copy.deepcopy(found))
-
-
-def couple_rotors(
-    client: Client, body: int, indices: Mapping[str, int], joints: Iterable[JointDescription]
-) -> None:
-    """Gear each rotor to its joint.
-
-    The constraint acts on velocities alone (erp 0): no position of a rotor is ever read, so its
-    drift against the joint's, some 1e-6 rad in half a second, means nothing.
-    """
-    for joint in geared(joints):
-        gear = client.createConstraint(
-            *(body, indices[joint.name], body, indices[rotor_name(joint)]),
-            jointType=pybullet.JOINT_GEAR,
-            jointAxis=joint.axis,
-            parentFramePosition=(0.0, 0.0, 0.0),
-            childFramePosition=(0.0, 0.0, 0.0),
-        )
-        # Bullet's row reads: joint velocity + gearRatio * rotor velocity = 0.
-        client.changeConstraint(
-            gear, gearRatio=-1.0 / joint.gear_ratio, maxForce=GEAR_FORCE, erp=0.0
-        )
 
 
 def geared(joints: Iterable[JointDescription]) -> tuple[JointDescription, ...]:
@@ -249,202 +186,18 @@ def _add_inertial(link: ElementTree.Element, mass: float, moment: float) -> None
     ElementTree.SubElement(inertial, "inertia", moments, ixy="0", ixz="0", iyz="0")
 
 
-def place_joints(
-    client: Client, body: int, joints: Mapping[str, int], start: Mapping[str, float]
-) -> None:
-    """Put every joint at its starting position, at rest, and its rotor at rest."""
-    for name, position in start.items():
-        client.resetJointState(body, joints[name], position, 0.0)
-        rotor = joints.get(name + ROTOR_SUFFIX)
-        if rotor is not None:
-            client.resetJointState(body, rotor, 0.0, 0.0)
-
-
-def release_joints(
-    client: Client, body: int, joints: Mapping[str, int], description: RobotDescription
-) -> None:
-    """Free every joint of Bullet's default motor and leave it with its own friction.
-
-    Coulomb friction is a motor whose target speed is 0 and whose force is the friction's: an
-    implicit constraint of the solver, so a joint sticks truly and cannot chatter about zero.
-    """
-    moving = description.joints.values()
-    friction = {joint.name: joint.friction for joint in moving}
-    friction.update({rotor_name(joint): 0.0 for joint in geared(moving)})
-    indices = [joints[name] for name in friction]
-    brake_joints(client, body, indices, list(friction.values()))
-    for joint in moving:
-        client.changeDynamics(body, joints[joint.name], jointDamping=joint.damping)
-
-
-def brake_joints(
-    client: Client, body: int, indices: Sequence[int], forces: Sequence[float]
-) -> None:
-    """Hold joints where they are, each with at most its force, in [N m]."""
-    client.setJointMotorControlArray(
-        body,
-        indices,
-        pybullet.VELOCITY_CONTROL,
-        targetVelocities=[0.0] * len(indices),
-        forces=forces,
-    )
-
-
-LOCK_FORCE = 1e6  # [N m]
-NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
-
-
-def put_on_ground(client: Client, body: int) -> None:
-    """Make the ground, and set the robot down so that its lowest point touches it."""
-    plane = client.createCollisionShape(pybullet.GEOM_PLANE)
-    ground = client.createMultiBody(0.0, plane)
-    client.changeDynamics(ground, -1, lateralFriction=GROUND_FRICTION)
-    near = client.getClosestPoints(body, ground, NEARBY)
-    if not near:
-        return  # a robot without collision shapes falls, wherever it starts
-    gap = min(point[8] for point in near)
-    position, orientation = client.getBasePositionAndOrientation(body)
-    lowered = (position[0], position[1], position[2] - gap)
-    client.resetBasePositionAndOrientation(body, lowered, orientation)
-
-
-def settle(client: Client, body: int, joints: Collection[int], physics_period: float) -> None:
-    """Let the robot sink into its tyres with every joint locked, then take away all speed."""
-    brake_joints(client, body, list(joints), [LOCK_FORCE] * len(joints))
-    for _ in range(max(1, round(SETTLING_TIME / physics_period))):
-        client.stepSimulation()
-    client.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
-def settle_bricks(client: Client, bricks: tuple[int, ...], workplace: Workplace) -> None:
-    """Take away what speed the bricks have left, and refuse those that fell or were pushed."""
-    rest = (0.0, 0.0, 0.0)
-    for body, brick in zip(bricks, workplace.bricks, strict=True):
-        client.resetBaseVelocity(body, rest, rest)
-        require_staying(brick, box_pose(client, body))
-
-
 # Sequential impulses stop at this squared change of velocity or after this many sweeps. Measured
 # on the package's robot, a joint and its rotor then agree to 6e-6 rad/s; Bullet's own 1e-7 and 50
 # leave 3e-4. A stiffly held joint creeps by 1e-5 rad/s at most, and 1e-12 costs a tenth more.
-SOLVER_RESIDUAL = 1e-10
-SOLVER_ITERATIONS = 100
-NO_SPEED_LIMIT = 1e6  # [rad/s], Bullet's own is 100: rotors turn faster
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A loaded robot, in Bullet's numbers."""
-
-    body: int  # the robot
-    driven: tuple[int, ...]  # Bullet's indices of the driven joints, in the settings' order
-    links: Mapping[str, int]  # Bullet's index of every link; -1 is the root
-    payload: int | None  # index of the payload link; None where the robot has none
-    # mass [kg] and moments of inertia [kg m^2] of the bare payload link
-    payload_own: tuple[float, tuple[float, float, float]]
-    bricks: tuple[int, ...] = ()  # the bricks, in the settings' order
-
-    def load_payload(self, client: Client, mass: float) -> None:
-        """Put a solid cube at the payload link's centre of mass."""
-        own_mass, own_moments = self.payload_own
-        moment = mass * PAYLOAD_EDGE**2 / 6.0
-        client.changeDynamics(
-            self.body,
-            self.payload,
-            mass=own_mass + mass,
-            localInertiaDiagonal=[own + moment for own in own_moments],
-        )
-
-
-def build_scene(
-    client: Client, urdf: str, description: RobotDescription, settings: WorldSettings
-) -> Scene:
-    """Build everything again in an empty simulation."""
-    client.setGravity(0.0, 0.0, -settings.gravity)
-    client.setTimeStep(settings.physics_period)
-    client.setPhysicsEngineParameter(
-        numSolverIterations=SOLVER_ITERATIONS,
-        solverResidualThreshold=SOLVER_RESIDUAL,
-        deterministicOverlappingPairs=1,
-        enableFileCaching=0,
-    )
-    body = _load(client, urdf, settings.fixed_base)
-    joints, links = _indices(client, body)
-    payload, own = links.get(settings.payload_link), (0.0, (0.0, 0.0, 0.0))
-    if payload is not None:
-        info = client.getDynamicsInfo(body, payload)
-        own = info[0], info[2]
-    driven = tuple(joints[name] for name in settings.joints)
-    scene = Scene(body, driven, links, payload, own)
-    _prepare_links(client, scene)
-    if settings.payload_mass:
-        scene.load_payload(client, settings.payload_mass)
-    couple_rotors(client, body, joints, description.joints.values())
-    start = settings.start(description)
-    place_joints(client, body, joints, start)
-    if not settings.fixed_base:
-        put_on_ground(client, body)
-    workplace = settings.workplace
-    scene = replace(scene, bricks=put_boxes(client, workplace.bricks))
-    put_boxes(client, workplace.supports)
-    if scene.bricks:
-        let_hand_pass(client, body, links[workplace.gripper.link], scene.bricks)
-    if settings.is_touched:
-        settle(client, body, joints.values(), settings.physics_period)
-        settle_bricks(client, scene.bricks, workplace)
-        place_joints(client, body, joints, start)
-    release_joints(client, body, joints, description)
-    return scene
-
-
-def _load(client: Client, urdf: str, fixed_base: bool) -> int:
-    """Load URDF text through a file that is gone again afterwards."""
-    handle, path = tempfile.mkstemp(prefix="hpid_ros_", suffix=".urdf")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(urdf)
-        with captured() as lines:
-            try:
-                return client.loadURDF(
-                    path,
-                    useFixedBase=fixed_base,
-                    # Without this flag Bullet computes inertias of its own from the shapes.
-                    flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-                )
-            except pybullet.error as error:
-                failure = error
-        said = "; ".join(lines[-2:]) or str(failure)
-        raise RobotDescriptionError(f"PyBullet cannot load the robot description: {said}")
-    finally:
-        Path(path).unlink(missing_ok=True)
-
-
-def _indices(client: Client, body: int) -> tuple[dict[str, int], dict[str, int]]:
-    """Return Bullet's indices of joints and of links, by name."""
-    root = client.getBodyInfo(body)[0].decode()
-    joints: dict[str, int] = {}
-    links = {root: -1}
-    for index in range(client.getNumJoints(body)):
-        info = client.getJointInfo(body, index)
-        joints[info[1].decode()] = index
-        links[info[12].decode()] = index
-    return joints, links
-
-
-def _prepare_links(client: Client, scene: Scene) -> None:
-    """Take away the damping and the speed limit that Bullet gives every link."""
-    for index in scene.links.values():
-        client.changeDynamics(
-            scene.body,
-            index,
-            linearDamping=0.0,
-            angularDamping=0.0,
-            maxJointVelocity=NO_SPEED_LIMIT,
-        )
-
-
-_ROOT = -1  # Bullet's index of a robot's root link
+_SOLVER_RESIDUAL = 1e-10
+_SOLVER_ITERATIONS = 100
+_NO_SPEED_LIMIT = 1e6  # [rad/s], Bullet's own is 100: rotors turn faster
+_GEAR_FORCE = 1e6  # [N m], never reached: a limit would let the gear slip
+_LOCK_FORCE = 1e6  # [N m]
+_NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
 _UNYIELDING = 1e5  # [N], far beyond any grip: the constraint itself never gives way
+_ROOT = -1  # Bullet's index of a robot's root link
+_NOTHING = (0.0, 0.0, 0.0)
 
 
 class BulletPhysics:
@@ -453,7 +206,7 @@ class BulletPhysics:
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
         self._urdf = bullet_urdf(description, is_shown=settings.gui)
-        self._client = Client(settings.gui)
+        self.client = Client(settings.gui)
         self._damping: Sequence[float] | None = None
         self._brakes: Sequence[float] | None = None
         try:
@@ -463,41 +216,214 @@ class BulletPhysics:
             raise
 
     def _build(self) -> None:
+        """Build everything again in an empty simulation."""
+        client, settings = self.client, self._settings
+        client.setGravity(0.0, 0.0, -settings.gravity)
+        client.setTimeStep(settings.physics_period)
+        client.setPhysicsEngineParameter(
+            numSolverIterations=_SOLVER_ITERATIONS,
+            solverResidualThreshold=_SOLVER_RESIDUAL,
+            deterministicOverlappingPairs=1,
+            enableFileCaching=0,
+        )
         self._held: int | None = None  # the constraint
-        self._scene: Scene = build_scene(
-            self._client, self._urdf, self._description, self._settings
+        self.body = self._load_robot()
+        self._find_parts()
+        if settings.payload_mass:
+            self.load(settings.payload_mass)
+        self._couple_rotors()
+        start = settings.start(self._description)
+        self._place_joints(start)
+        if not settings.fixed_base:
+            self._put_on_ground()
+        workplace = settings.workplace
+        self._bricks = [self._put_box(each) for each in workplace.bricks]
+        for support in workplace.supports:
+            self._put_box(support)
+        if self._bricks:
+            self._let_hand_pass(self._links[workplace.gripper.link])
+        if settings.is_touched:
+            self._settle()
+            self._place_joints(start)
+        self._release_joints()
+
+    def _load_robot(self) -> int:
+        """Load URDF text through a file that is gone again afterwards."""
+        handle, path = tempfile.mkstemp(prefix="hpid_ros_", suffix=".urdf")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(self._urdf)
+            with captured() as lines:
+                try:
+                    body: int = self.client.loadURDF(
+                        path,
+                        useFixedBase=self._settings.fixed_base,
+                        # Without this flag Bullet computes inertias of its own from the shapes.
+                        flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                    )
+                    return body
+                except pybullet.error as error:
+                    failure = error
+            said = "; ".join(lines[-2:]) or str(failure)
+            raise RobotDescriptionError(f"PyBullet cannot load the robot description: {said}")
+        finally:
+            Path(path).unlink(missing_ok=True)
+
+    def _find_parts(self) -> None:
+        """Note Bullet's numbers of joints and links, whose own damping and speed limit go."""
+        client, body = self.client, self.body
+        infos = [client.getJointInfo(body, index) for index in range(client.getNumJoints(body))]
+        self._joints = {info[1].decode(): index for index, info in enumerate(infos)}
+        self._links = {client.getBodyInfo(body)[0].decode(): _ROOT}
+        self._links |= {info[12].decode(): index for index, info in enumerate(infos)}
+        self.driven = tuple(self._joints[name] for name in self._settings.joints)
+        self._payload = self._links.get(self._settings.payload_link)
+        if self._payload is not None:
+            self._bare = client.getDynamicsInfo(body, self._payload)  # mass first, moments third
+        for index in self._links.values():
+            client.changeDynamics(
+                body,
+                index,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                maxJointVelocity=_NO_SPEED_LIMIT,
+            )
+
+    def _couple_rotors(self) -> None:
+        """Gear each rotor to its joint.
+
+        The constraint acts on velocities alone (erp 0): no position of a rotor is ever read, so
+        its drift against the joint's, some 1e-6 rad in half a second, means nothing.
+        """
+        for joint in geared(self._description.joints.values()):
+            rotor = self._joints[rotor_name(joint)]
+            gear = self.client.createConstraint(
+                *(self.body, self._joints[joint.name], self.body, rotor),
+                jointType=pybullet.JOINT_GEAR,
+                jointAxis=joint.axis,
+                parentFramePosition=_NOTHING,
+                childFramePosition=_NOTHING,
+            )
+            # Bullet's row reads: joint velocity + gearRatio * rotor velocity = 0.
+            self.client.changeConstraint(
+                gear, gearRatio=-1.0 / joint.gear_ratio, maxForce=_GEAR_FORCE, erp=0.0
+            )
+
+    def _place_joints(self, start: Mapping[str, float]) -> None:
+        """Put every joint at its starting position, at rest, and its rotor at rest."""
+        for name, position in start.items():
+            self.client.resetJointState(self.body, self._joints[name], position, 0.0)
+            rotor = self._joints.get(name + ROTOR_SUFFIX)
+            if rotor is not None:
+                self.client.resetJointState(self.body, rotor, 0.0, 0.0)
+
+    def _put_on_ground(self) -> None:
+        """Make the ground, and set the robot down so that its lowest point touches it."""
+        client, body = self.client, self.body
+        plane = client.createCollisionShape(pybullet.GEOM_PLANE)
+        ground = client.createMultiBody(0.0, plane)
+        client.changeDynamics(ground, -1, lateralFriction=GROUND_FRICTION)
+        near = client.getClosestPoints(body, ground, _NEARBY)
+        if not near:
+            return  # a robot without collision shapes falls, wherever it starts
+        gap = min(point[8] for point in near)
+        position, orientation = client.getBasePositionAndOrientation(body)
+        lowered = (position[0], position[1], position[2] - gap)
+        client.resetBasePositionAndOrientation(body, lowered, orientation)
+
+    def _put_box(self, box: Support) -> int:
+        client = self.client
+        shape = client.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=[edge / 2.0 for edge in box.size]
+        )
+        body: int = client.createMultiBody(
+            box.mass if isinstance(box, Brick) else 0.0,
+            shape,
+            basePosition=box.position,
+            baseOrientation=box.orientation,
+        )
+        client.changeDynamics(
+            body, -1, lateralFriction=box.friction, linearDamping=0.0, angularDamping=0.0
+        )
+        return body
+
+    def _let_hand_pass(self, link: int) -> None:
+        """Let all that is rigid with a link pass the bricks: it has no joint for its fingers."""
+        client, body = self.client, self.body
+        infos = [client.getJointInfo(body, index) for index in range(client.getNumJoints(body))]
+        is_fixed = [info[2] == pybullet.JOINT_FIXED for info in infos]
+        while link >= 0 and is_fixed[link]:
+            link = infos[link][16]
+        hand = {link}
+        for index, info in enumerate(infos):  # a parent comes before its children
+            if is_fixed[index] and info[16] in hand:
+                hand.add(index)
+        for index in sorted(hand):
+            for brick in self._bricks:
+                client.setCollisionFilterPair(body, brick, index, -1, enableCollision=0)
+
+    def _settle(self) -> None:
+        """Let all sink into its place with every joint locked, then take away all speed.
+
+        Bricks that fell or were pushed are refused.
+        """
+        client = self.client
+        self._brake(list(self._joints.values()), [_LOCK_FORCE] * len(self._joints))
+        for _ in range(max(1, round(SETTLING_TIME / self._settings.physics_period))):
+            client.stepSimulation()
+        client.resetBaseVelocity(self.body, _NOTHING, _NOTHING)
+        for index, brick in enumerate(self._settings.workplace.bricks):
+            client.resetBaseVelocity(self._bricks[index], _NOTHING, _NOTHING)
+            require_staying(brick, self.brick_pose(index))
+
+    def _release_joints(self) -> None:
+        """Free every joint of Bullet's default motor and leave it with its own friction."""
+        moving = self._description.joints.values()
+        friction = {joint.name: joint.friction for joint in moving}
+        friction.update({rotor_name(joint): 0.0 for joint in geared(moving)})
+        self._brake([self._joints[name] for name in friction], list(friction.values()))
+        for joint in moving:
+            self.client.changeDynamics(
+                self.body, self._joints[joint.name], jointDamping=joint.damping
+            )
+
+    def _brake(self, indices: Sequence[int], forces: Sequence[float]) -> None:
+        """Hold joints where they are, each with at most its force, in [N m].
+
+        A motor whose target speed is 0 and whose force is the Coulomb friction's is an implicit
+        constraint of the solver, so a joint sticks truly and cannot chatter about zero.
+        """
+        self.client.setJointMotorControlArray(
+            self.body,
+            indices,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[0.0] * len(indices),
+            forces=forces,
         )
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
-        states: Sequence[tuple[float, float]] = self._client.getJointStates(
-            self._scene.body, self._scene.driven
-        )
+        states: Sequence[tuple[float, float]] = self.client.getJointStates(self.body, self.driven)
         return states
 
     def advance(self, torques: Sequence[float], steps: int = 1) -> None:
         for _ in range(steps):
             # Bullet forgets applied torques after every step.
-            self._client.setJointMotorControlArray(
-                self._scene.body, self._scene.driven, pybullet.TORQUE_CONTROL, forces=torques
+            self.client.setJointMotorControlArray(
+                self.body, self.driven, pybullet.TORQUE_CONTROL, forces=torques
             )
-            self._client.stepSimulation()
+            self.client.stepSimulation()
 
     def set_damping(self, damping: Sequence[float]) -> None:
         self._damping = damping
-        for index, value in zip(self._scene.driven, damping, strict=True):
-            self._client.changeDynamics(self._scene.body, index, jointDamping=value)
+        for index, value in zip(self.driven, damping, strict=True):
+            self.client.changeDynamics(self.body, index, jointDamping=value)
 
     def brake(self, forces: Sequence[float]) -> None:
-        """Set the Coulomb friction of each driven joint.
-
-        It is an implicit constraint with a largest torque, which sticks truly and cannot chatter
-        about zero speed.
-        """
         self._brakes = forces
-        brake_joints(self._client, self._scene.body, self._scene.driven, forces)
+        self._brake(self.driven, forces)
 
     def push(self, link: str, force: Vector, torque: Vector) -> None:
-        client, body, index = self._client, self._scene.body, self._scene.links[link]
+        client, body, index = self.client, self.body, self._links[link]
         origin, centre = self._pose(index).position, self._centre_of_mass(index)
         x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
         fx, fy, fz = force
@@ -511,77 +437,82 @@ class BulletPhysics:
         )
 
     def load(self, mass: float) -> None:
-        self._scene.load_payload(self._client, mass)
+        moment = mass * PAYLOAD_EDGE**2 / 6.0
+        self.client.changeDynamics(
+            self.body,
+            self._payload,
+            mass=self._bare[0] + mass,
+            localInertiaDiagonal=[own + moment for own in self._bare[2]],
+        )
 
     def link_pose(self, link: str) -> Pose:
-        return self._pose(self._scene.links[link])
+        return self._pose(self._links[link])
 
     def root_pose(self) -> Pose:
         return self._pose(_ROOT)
 
     def root_twist(self) -> Twist:
-        client = self._client
+        client = self.client
         origin, orientation = self._pose(_ROOT)
-        (vx, vy, vz), angular = client.getBaseVelocity(self._scene.body)
+        (vx, vy, vz), angular = client.getBaseVelocity(self.body)
         wx, wy, wz = angular
         x, y, z = (a - b for a, b in zip(origin, self._centre_of_mass(_ROOT), strict=True))
         linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
-        _, inverse = client.invertTransform((0.0, 0.0, 0.0), orientation)
+        _, inverse = client.invertTransform(_NOTHING, orientation)
         return Twist(client.rotateVector(inverse, linear), client.rotateVector(inverse, angular))
 
     def brick_pose(self, index: int) -> Pose:
-        return box_pose(self._client, self._scene.bricks[index])
+        return Pose(*self.client.getBasePositionAndOrientation(self._bricks[index]))
 
     def hold(self, index: int) -> None:
-        robot, body, client = self._scene.body, self._scene.bricks[index], self._client
-        link = self._scene.links[self._settings.workplace.gripper.link]
+        robot, body, client = self.body, self._bricks[index], self.client
+        link = self._links[self._settings.workplace.gripper.link]
         # Bullet wants the frame as the link's centre of mass sees it.
         state = client.getLinkState(robot, link)
         inverse = client.invertTransform(state[0], state[1])
-        brick = box_pose(client, body)
+        brick = self.brick_pose(index)
         position, orientation = client.multiplyTransforms(
             *inverse, brick.position, brick.orientation
         )
-        nowhere = (0.0, 0.0, 0.0)
         self._held = client.createConstraint(
-            *(robot, link, body, -1, pybullet.JOINT_FIXED, nowhere),
-            *(position, nowhere, orientation),
+            *(robot, link, body, -1, pybullet.JOINT_FIXED, _NOTHING),
+            *(position, _NOTHING, orientation),
         )
         client.changeConstraint(self._held, maxForce=_UNYIELDING)
 
     def release(self) -> None:
         if self._held is not None:
-            self._client.removeConstraint(self._held)
+            self.client.removeConstraint(self._held)
         self._held = None
 
     def grip_force(self) -> Vector:
-        state = self._client.getConstraintState(self._held)
+        state = self.client.getConstraintState(self._held)
         return state[0], state[1], state[2]
 
     def keep(self) -> None:
-        self._at_start: int = self._client.saveState()
+        self._at_start: int = self.client.saveState()
 
     def restart(self) -> None:
-        if self._scene.bricks:
+        if self._bricks:
             # Of bricks that were moved Bullet keeps contacts that are not in the saved state.
-            self._client.removeState(self._at_start)
-            self._client.resetSimulation()
+            self.client.removeState(self._at_start)
+            self.client.resetSimulation()
             self._build()
             if self._damping is not None and self._brakes is not None:
                 self.set_damping(self._damping)
                 self.brake(self._brakes)
             self.keep()
             return
-        if self._scene.payload is not None:
+        if self._payload is not None:
             self.load(self._settings.payload_mass)
-        self._client.restoreState(self._at_start)
+        self.client.restoreState(self._at_start)
 
     def close(self) -> None:
-        self._client.close()
+        self.client.close()
 
     def _pose(self, index: int) -> Pose:
         """Return the pose of a link's URDF frame."""
-        client, body = self._client, self._scene.body
+        client, body = self.client, self.body
         if index != _ROOT:
             state = client.getLinkState(body, index, computeForwardKinematics=True)
             return Pose(state[4], state[5])
@@ -592,9 +523,9 @@ class BulletPhysics:
 
     def _centre_of_mass(self, index: int) -> Vector:
         """Return a link's centre of mass in the world, in [m]."""
-        body = self._scene.body
+        body = self.body
         if index == _ROOT:
-            centre: Vector = self._client.getBasePositionAndOrientation(body)[0]
+            centre: Vector = self.client.getBasePositionAndOrientation(body)[0]
         else:
-            centre = self._client.getLinkState(body, index)[0]
+            centre = self.client.getLinkState(body, index)[0]
         return centre

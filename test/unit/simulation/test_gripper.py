@@ -138,8 +138,8 @@ def pull_at(world, brick, force):
     import pybullet
 
     pybullet.applyExternalForce(
-        *(physics._scene.bricks[0], -1, force, brick.position, pybullet.WORLD_FRAME),
-        physicsClientId=physics._client.number,
+        *(physics._bricks[0], -1, force, brick.position, pybullet.WORLD_FRAME),
+        physicsClientId=physics.client.number,
     )
 
 
