@@ -23,17 +23,10 @@ import numpy as np
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.motion.joint_trajectory import JointTrajectory, Knot, TrajectoryPoint, segment
+from hpid_ros.robot.differential_drive import PlanarPose
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _FINE = np.linspace(0.0, 1.0, 257)  # of a curve, to count its windings
-
-
-class PathPose(NamedTuple):
-    """Where a base is in the plane."""
-
-    x: float  # [m]
-    y: float  # [m]
-    heading: float  # [rad] counter-clockwise from x; not wrapped
 
 
 class LegMotion(NamedTuple):
@@ -83,7 +76,7 @@ class TimeLaw:
 class Turn:
     """A turn in place; by 0 it is a wait."""
 
-    pose: PathPose  # where it begins
+    pose: PlanarPose  # where it begins
     angle: float  # [rad] by how much
     law: TimeLaw  # when
 
@@ -111,7 +104,7 @@ class DrivenLeg:
     """
 
     def __init__(
-        self, start: PathPose, end: PathPose, law: TimeLaw, sign: int = 1, order: int = 3
+        self, start: PlanarPose, end: PlanarPose, law: TimeLaw, sign: int = 1, order: int = 3
     ) -> None:
         self._law, self._sign = law, sign
         chord = math.hypot(end.x - start.x, end.y - start.y)
@@ -439,10 +432,10 @@ def _checked_times(times: Sequence[float], count: int) -> tuple[int, ...]:
     return in_ns
 
 
-def _checked_pose(index: int, pose: Sequence[float]) -> PathPose:
+def _checked_pose(index: int, pose: Sequence[float]) -> PlanarPose:
     values = tuple(float(value) for value in pose)
     if len(values) != 3 or not all(math.isfinite(value) and abs(value) < 1e6 for value in values):
         raise TrajectoryError(
             f"pose {index} of a path must be x [m], y [m] and heading [rad], not {list(pose)}"
         )
-    return PathPose(*values)
+    return PlanarPose(*values)

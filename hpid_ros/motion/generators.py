@@ -10,11 +10,16 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
-from hpid_ros.motion.joint_trajectory import Column, JointTrajectory, TrajectoryPoint, segment
+from hpid_ros.motion.joint_trajectory import (
+    Column,
+    JointTrajectory,
+    ReferenceSample,
+    TrajectoryPoint,
+    segment,
+)
 
 _MOST_PIECES = 1_000_000
 
@@ -136,14 +141,6 @@ def _ns(time: float) -> int:
     return round(nanoseconds)
 
 
-class _Values(NamedTuple):
-    """Position, velocity and acceleration at one side of an instant."""
-
-    position: float
-    velocity: float
-    acceleration: float
-
-
 def combined(trajectories: Sequence[JointTrajectory]) -> JointTrajectory:
     """Merge trajectories of different joints, which may have points at different times.
 
@@ -234,11 +231,11 @@ class _Curve:
         self._knots = knots
         self._pieces = [segment(a, b) for a, b in pairwise(knots)]
 
-    def after(self, time_ns: int) -> _Values:
+    def after(self, time_ns: int) -> ReferenceSample:
         """Return the values from an instant on."""
         return self._of(bisect_right(self.times, time_ns) - 1, time_ns)
 
-    def before(self, time_ns: int) -> _Values:
+    def before(self, time_ns: int) -> ReferenceSample:
         """Return the values up to an instant.
 
         At a knot that gives a derivative and ends a spline that heeds it, that is the knot's own
@@ -256,17 +253,17 @@ class _Curve:
         if not is_smooth or velocity is None:
             return values._replace(position=knot.position)
         if acceleration is None or left.acceleration is None:
-            return _Values(knot.position, velocity, values.acceleration)
-        return _Values(knot.position, velocity, acceleration)
+            return ReferenceSample(knot.position, velocity, values.acceleration)
+        return ReferenceSample(knot.position, velocity, acceleration)
 
-    def _of(self, index: int, time_ns: int) -> _Values:
+    def _of(self, index: int, time_ns: int) -> ReferenceSample:
         if index >= len(self._pieces):
-            return _Values(self._knots[-1].position, 0.0, 0.0)
+            return ReferenceSample(self._knots[-1].position, 0.0, 0.0)
         if self.times[index + 1] - self.times[index] == 1:  # a step has no slope
-            return _Values(self._knots[index].position, 0.0, 0.0)
+            return ReferenceSample(self._knots[index].position, 0.0, 0.0)
         t = (time_ns - self.times[index]) * SECONDS_PER_NANOSECOND
         c0, c1, c2, c3, c4, c5 = self._pieces[index]
-        return _Values(
+        return ReferenceSample(
             c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
             c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
             2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),

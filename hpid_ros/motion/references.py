@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, TrajectoryError, unknown_name
-from hpid_ros.base.records import Record, Section, quantity, take_record
+from hpid_ros.base.records import Record, Section, from_mapping, quantity, take_record
 from hpid_ros.base.schema import json_schema
 from hpid_ros.motion.base_path import FORWARD, base_path
 from hpid_ros.motion.generators import combined, minimum_jerk, sine, step
@@ -233,26 +233,6 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
         raise TrajectoryError(f"{where}: {error}") from None
 
 
-def reference_schema(*others: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a ``reference`` section."""
-    kinds = [of_kind(name, json_schema(record)) for name, record in _KINDS.items()]
-    parts = {"type": "array", "minItems": 1, "items": {"oneOf": kinds}}
-    whole = {
-        "type": "object",
-        "description": "References of different joints.",
-        "properties": {"parts": parts},
-        "required": ["parts"],
-        "additionalProperties": False,
-    }
-    return {"oneOf": [*kinds, of_kind(_COMBINED, whole), *others]}
-
-
-def of_kind(name: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a section with its ``kind``."""
-    properties = {"kind": {"const": name}, **schema["properties"]}
-    return {**schema, "properties": properties, "required": ["kind", *schema.get("required", ())]}
-
-
 def _combined(section: Section) -> JointTrajectory:
     parts = section.take("parts")
     section.finish()
@@ -281,7 +261,7 @@ class Belief(Record):
     yaw: float | None = quantity("Its turn about z", "rad", default=None)
     approach: float | None = quantity("Heading of the base before it", "rad", default=None)
 
-    def over(self, known: Placement) -> Placement:
+    def over(self, known: KnownBox) -> Placement:
         """Return the placement that is meant, with what the scene says of it."""
         return Placement(
             known.position if self.position is None else self.position,
@@ -334,56 +314,46 @@ class PlannedReference(NamedTuple):
     plan: BrickPlan | None = None  # the brick task; None for any other kind
 
 
-class KnownScene(NamedTuple):
-    """What a plan knows of the scene."""
-
-    # size and place of each brick, by name
-    bricks: Mapping[str, tuple[Triple, Placement]]
-    hand: str = HAND  # link that holds a brick
-    opening: float = math.inf  # [m] widest brick that it can take
-
-
 def planned_reference(
     document: object, where: str, load_robot: Callable[[str], RobotDescription]
 ) -> PlannedReference:
-    """Return the reference of a whole document: an experiment, or a file with a reference."""
-    section = document.get("reference") if isinstance(document, Mapping) else None
-    if not (isinstance(section, Mapping) and section.get("kind") == BRICKS):
-        return PlannedReference(reference_from(section, where))
-    root = Section(document, "", TrajectoryError)
-    scene = _known_scene(root.section("scene", {}))
-    robot = _task_robot(root.section("robot"), load_robot, scene.opening)
-    return planned_reference_from(section, where, robot, scene)
+    """Return the reference of a whole document: an experiment, or a file with a reference.
 
-
-def planned_reference_from(
-    values: object, where: str, robot: TaskRobot, scene: KnownScene
-) -> PlannedReference:
-    """Return the reference that a section describes.
-
-    ``kind: bricks`` is a :class:`BrickTask`; every other kind is that of
-    :func:`hpid_ros.motion.reference_from`.
+    ``kind: bricks`` is a :class:`BrickTask`; every other kind is that of :func:`reference_from`.
     """
-    section = Section(values, where, TrajectoryError)
-    if section.text("kind") != BRICKS:
+    values = document.get("reference") if isinstance(document, Mapping) else None
+    if not (isinstance(values, Mapping) and values.get("kind") == BRICKS):
         return PlannedReference(reference_from(values, where))
+    root = Section(document, "", TrajectoryError)
+    # Of scene and robot what a plan needs; the rest is read, and checked, by others.
+    scene = root.section("scene", {})
+    gripper, boxes = scene.section("gripper", {}), scene.section("bricks", {})
+    known = {name: take_record(KnownBox, boxes.section(name)) for name in boxes.items()}
+    opening = gripper.number("opening", above=0.0) if "opening" in gripper else math.inf
+    hand = gripper.text("link", HAND)
+    own = from_mapping(RobotSection, root.take("robot"), "robot", TrajectoryError)
+    description = own.load(load_robot)
+    drive = None if own.base is None else own.base.drive(description)
+    robot = TaskRobot(description, drive, own.initial_positions, opening)
     # Pinocchio takes a moment to import, and other references do without.
     from hpid_ros.motion.bricks import plan_bricks
     from hpid_ros.robot.kinematics import Kinematics
 
+    section = Section(values, where, TrajectoryError)
+    section.take("kind")
     task = take_record(BrickTask, section)
     section.finish()
     if not task.bricks:
         raise TrajectoryError(f"{section.place('bricks')} must name at least one brick")
-    others = robot.initial_positions
-    arm = Kinematics(robot.description, scene.hand, task.arm or None, others)
+    others = own.initial_positions
+    arm = Kinematics(description, hand, task.arm or None, others)
     for joint in task.folded:
         if joint not in arm.joints:
             place = section.place("folded")
             raise TrajectoryError(f"{place}: {unknown_name('joint', joint, arm.joints)}")
     folded = task.folded or others
     goals = [
-        _goal(goal, f"{section.place('bricks')}[{index}]", scene)
+        _goal(goal, f"{section.place('bricks')}[{index}]", known)
         for index, goal in enumerate(task.bricks)
     ]
     try:
@@ -396,39 +366,26 @@ def planned_reference_from(
 
 def task_schema() -> dict[str, Any]:
     """Return the JSON Schema of a ``reference`` of any kind."""
-    return reference_schema(of_kind(BRICKS, json_schema(BrickTask)))
+    kinds = [_of_kind(name, json_schema(record)) for name, record in _KINDS.items()]
+    whole = {
+        "type": "object",
+        "description": "References of different joints.",
+        "properties": {"parts": {"type": "array", "minItems": 1, "items": {"oneOf": kinds}}},
+        "required": ["parts"],
+        "additionalProperties": False,
+    }
+    bricks = json_schema(BrickTask)
+    return {"oneOf": [*kinds, _of_kind(_COMBINED, whole), _of_kind(BRICKS, bricks)]}
 
 
-def _goal(goal: CarriedBrick, where: str, scene: KnownScene) -> BrickGoal:
-    if goal.brick not in scene.bricks:
-        raise TrajectoryError(f"{where}.brick: {unknown_name('brick', goal.brick, scene.bricks)}")
-    size, known = scene.bricks[goal.brick]
-    pick = known if goal.pick is None else goal.pick.over(known)
-    return BrickGoal(goal.brick, size, pick, goal.place)
+def _of_kind(name: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a section with its ``kind``."""
+    properties = {"kind": {"const": name}, **schema["properties"]}
+    return {**schema, "properties": properties, "required": ["kind", *schema.get("required", ())]}
 
 
-def _task_robot(
-    section: Section, load_robot: Callable[[str], RobotDescription], opening: float
-) -> TaskRobot:
-    """Return the robot that a section describes, with a hand of some opening, in [m]."""
-    robot = take_record(RobotSection, section)
-    section.finish()
-    description = robot.load(load_robot)
-    drive = None if robot.base is None else robot.base.drive(description)
-    return TaskRobot(description, drive, robot.initial_positions, opening)
-
-
-def _known_scene(section: Section) -> KnownScene:
-    """Return what a plan needs of the scene; the rest is read, and checked, by others."""
-    gripper, bricks = section.section("gripper", {}), section.section("bricks", {})
-    known = {}
-    for name in bricks.items():
-        brick = bricks.section(name)
-        known[name] = _known_brick(brick)
-    opening = gripper.number("opening", above=0.0) if "opening" in gripper else math.inf
-    return KnownScene(known, gripper.text("link", HAND), opening)
-
-
-def _known_brick(section: Section) -> tuple[Triple, Placement]:
-    box = take_record(KnownBox, section)
-    return box.size, Placement(box.position, box.yaw)
+def _goal(goal: CarriedBrick, where: str, known: Mapping[str, KnownBox]) -> BrickGoal:
+    if goal.brick not in known:
+        raise TrajectoryError(f"{where}.brick: {unknown_name('brick', goal.brick, known)}")
+    box = known[goal.brick]
+    return BrickGoal(goal.brick, box.size, (goal.pick or Belief()).over(box), goal.place)
