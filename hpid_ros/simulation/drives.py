@@ -43,11 +43,6 @@ class Pwm(Record):
         most=NANOSECONDS,
     )
 
-    @property
-    def resolution(self) -> float:
-        """Smallest step of the duty."""
-        return 1.0 / (2**self.bits - 1)
-
     def output(self, duty: float) -> float:
         """Return the duty that acts: the nearest step, or 0 in the dead band."""
         magnitude = min(abs(duty), 1.0)

@@ -58,31 +58,14 @@ FARTHEST = 1e3  # [rad]
 
 
 @dataclass(frozen=True)
-class HallSwitch(Record):
-    """A switch that is on beyond a position, with a hysteresis."""
-
-    position: float = quantity(
-        "Middle of its two switching points", "rad", least=-FARTHEST, most=FARTHEST
-    )
-    hysteresis: float = quantity(
-        "Distance between them", "rad", default=0.0, least=0.0, most=FARTHEST
-    )
-
-    def read(self, position: float, was_on: bool) -> bool:
-        """Return whether the switch is on."""
-        half = self.hysteresis / 2.0
-        return position > self.position + (-half if was_on else half)
-
-
-@dataclass(frozen=True)
 class Homing(Record):
     """A homing run, done before time 0.
 
-    The joint is led from its initial position towards the switch, and past it, by a drive that
-    keeps its speed; the board looks at the switch once a control period, at a moment of the
-    travel that chance decides. The error that remains is the way from the switch's place to
-    where it was seen, at most half the hysteresis and one period's way, and the encoder's
-    rounding.
+    The joint is led from its initial position towards a Hall switch, which is on beyond its
+    place, and past it, by a drive that keeps its speed; the board looks at the switch once a
+    control period, at a moment of the travel that chance decides. The error that remains is the
+    way from the switch's place to where it was seen, at most half the hysteresis and one
+    period's way, and the encoder's rounding, at most half a count.
     """
 
     speed: float = quantity("Of the run", "rad/s", least=LEAST_SPEED)
@@ -93,28 +76,23 @@ class Homing(Record):
         "Of the Hall switch", "rad", default=0.0, least=0.0, most=FARTHEST
     )
 
-    @property
-    def switch(self) -> HallSwitch:
-        """The switch."""
-        return HallSwitch(self.position, self.hysteresis)
-
-    def largest_error(self, period: float, encoder: Encoder) -> float:
-        """Return the bound on :meth:`error`'s absolute value, in [rad]."""
-        return self.hysteresis / 2.0 + self.speed * period + encoder.resolution / 2.0
+    def is_on(self, position: float, was_on: bool) -> bool:
+        """Return whether the switch is on; each way it changes half the hysteresis late."""
+        half = self.hysteresis / 2.0
+        return position > self.position + (-half if was_on else half)
 
     def error(self, start: float, period: float, encoder: Encoder, chance: random.Random) -> float:
         """Run, and return what the readings are wrong by from then on."""
-        switch = self.switch
-        was_on = start > switch.position
+        was_on = start > self.position
         step = math.copysign(self.speed * period, -1.0 if was_on else 1.0)
-        edge = switch.position + math.copysign(switch.hysteresis / 2.0, step)
+        edge = self.position + math.copysign(self.hysteresis / 2.0, step)
         # No look before the edge can see anything: the run begins with the last of them.
         offset = chance.random()
         before = max(0, math.floor((edge - start) / step - offset))
         seen = start + (offset + before) * step
-        while switch.read(seen, was_on) == was_on:
+        while self.is_on(seen, was_on) == was_on:
             seen += step
-        return switch.position - encoder.read(seen)
+        return self.position - encoder.read(seen)
 
 
 VELOCITIES = ("none", "differences")

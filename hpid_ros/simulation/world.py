@@ -95,22 +95,18 @@ class Sensors:
         self._chances = [stream(settings.seed, "noise", joint) for joint in settings.joints]
         self._period = settings.control_period_ns * 1e-9
         self._has_differences = settings.velocity == "differences"
-        self._offsets = [0.0] * len(settings.joints)
+        self.offsets = [0.0] * len(settings.joints)
+        """What the readings are wrong by since homing, in [rad]."""
         for index, homing in enumerate(settings.homing):
             if homing is not None:
                 chance = stream(settings.seed, "homing", settings.joints[index])
-                self._offsets[index] = homing.error(
+                self.offsets[index] = homing.error(
                     start[index], self._period, self._encoders[index], chance
                 )
         self.positions = self._read(start)
         """Measured positions, in [rad]."""
         self.velocities = (0.0,) * len(start) if self._has_differences else None
         """Measured velocities, in [rad/s]; None where none are."""
-
-    @property
-    def offsets(self) -> tuple[float, ...]:
-        """What the readings are wrong by since homing, in [rad]."""
-        return tuple(self._offsets)
 
     def sample(self, positions: Sequence[float]) -> None:
         """Measure once; called once a control period."""
@@ -125,7 +121,7 @@ class Sensors:
 
     def _read(self, positions: Sequence[float]) -> tuple[float, ...]:
         each = zip(
-            self._encoders, positions, self._noise, self._chances, self._offsets, strict=True
+            self._encoders, positions, self._noise, self._chances, self.offsets, strict=True
         )
         return tuple(
             [

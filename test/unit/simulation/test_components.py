@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.simulation.drives import Motor, Pwm
-from hpid_ros.simulation.settings import Encoder, GripCommand, GripperSettings, HallSwitch, Homing
+from hpid_ros.simulation.settings import Encoder, GripCommand, GripperSettings, Homing
 
 MOTOR = Motor(torque_constant=0.03, resistance=0.8, supply_voltage=24.0)
 PWMS = st.builds(Pwm, st.integers(1, 16), st.floats(0.0, 0.9))
@@ -92,8 +92,9 @@ def test_a_duty_is_the_nearest_step_outside_the_dead_band_and_nothing_inside(
     if abs(held) < pwm.dead_band:
         assert output == 0.0
         return
-    assert abs(output - held) <= pwm.resolution / 2.0 + 1e-12
-    steps = output / pwm.resolution
+    most = 2**pwm.bits - 1
+    steps = output * most
+    assert abs(output - held) <= 0.5 / most + 1e-12
     assert steps == pytest.approx(round(steps), abs=1e-6)
     assert pwm.output(-duty) == -output
 
@@ -157,17 +158,17 @@ def test_the_phase_moves_where_a_count_ends():
     assert Encoder(4096, 0.25).read(third) != Encoder(4096, 0.25).read(-third)
 
 
-@given(switch=st.builds(HallSwitch, POSITIONS, st.floats(0.0, 0.1)), position=POSITIONS)
+@given(homing=st.builds(Homing, st.just(1.0), POSITIONS, st.floats(0.0, 0.1)), position=POSITIONS)
 def test_a_switch_is_told_apart_by_where_it_came_from_in_its_hysteresis_alone(
-    switch: HallSwitch, position: float
+    homing: Homing, position: float
 ):
-    beyond = abs(position - switch.position) - switch.hysteresis / 2.0
+    beyond = abs(position - homing.position) - homing.hysteresis / 2.0
     if beyond < -1e-9:
-        assert switch.read(position, was_on=True)
-        assert not switch.read(position, was_on=False)
+        assert homing.is_on(position, was_on=True)
+        assert not homing.is_on(position, was_on=False)
     elif beyond > 1e-9:
-        is_on = position > switch.position
-        assert switch.read(position, was_on=True) == switch.read(position, was_on=False) == is_on
+        is_on = position > homing.position
+        assert homing.is_on(position, was_on=True) == homing.is_on(position, was_on=False) == is_on
 
 
 @given(
@@ -180,7 +181,8 @@ def test_the_error_of_a_homing_run_stays_within_its_bound(
     homing: Homing, start: float, encoder: Encoder, seed: int
 ):
     error = homing.error(start, PERIOD, encoder, random.Random(seed))
-    assert abs(error) <= homing.largest_error(PERIOD, encoder) + 1e-9
+    half = 0.5 * (homing.hysteresis + encoder.resolution)
+    assert abs(error) <= half + homing.speed * PERIOD + 1e-9
     # Seen late: beyond the switch in the direction of the run, so read as too little of it.
     if encoder.counts == 0:
         direction = -1.0 if start > homing.position else 1.0

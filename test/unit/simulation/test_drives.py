@@ -193,7 +193,7 @@ def test_at_standstill_the_bridge_and_the_motor_err_by_half_a_step():
     stall = JOINT.gear_ratio * MOTOR.torque(1.0, 0.0)
     for period, effort in enumerate(np.linspace(-6.0, 6.0, 101)):
         drive.command(float(effort))
-        assert abs(drive.torque(period, 0.0) - effort) <= stall * pwm.resolution / 2.0 + 1e-9
+        assert abs(drive.torque(period, 0.0) - effort) <= stall * 0.5 / (2**pwm.bits - 1) + 1e-9
 
 
 @pytest.mark.parametrize(("periods", "delay"), [(0, 2), (1, 0), (37, 2)])
