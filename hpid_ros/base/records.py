@@ -254,24 +254,23 @@ class Record:
 
     def __post_init__(self) -> None:
         for each in record_fields(type(self)):
-            value = getattr(self, each.name)
+            value = getattr(self, each.path)
             if value is not None or not each.is_optional:
-                value = _converted(value, each, each.key, SettingError)
-                object.__setattr__(self, each.name, value)
+                object.__setattr__(self, each.path, each.checked(value))
 
 
 AnyRecord = TypeVar("AnyRecord", bound=Record)
 
 
-class RecordField(NamedTuple):
-    """A field of a record."""
+@dataclass(frozen=True, kw_only=True)
+class ParameterSpec(FieldSpec):
+    """A field of a record, or of a group in it, under a name of its own."""
 
-    name: str  # in Python
-    key: str  # in a file
+    name: str  # in a file, and in ROS
+    path: str  # of the attribute, from the record
     kind: Any  # its type, None aside
     is_optional: bool  # whether it may be None
     is_needed: bool  # whether it has no default
-    quantity: FieldSpec
     declared: Field[Any]  # the dataclass's own entry
 
     @property
@@ -281,25 +280,53 @@ class RecordField(NamedTuple):
             return self.declared.default_factory()
         return None if self.declared.default is MISSING else self.declared.default
 
+    @property
+    def minimum(self) -> float:
+        """Least allowed number; -inf where there is none."""
+        return self.bounds.least
 
-def record_fields(kind: type[Record]) -> tuple[RecordField, ...]:
+    @property
+    def maximum(self) -> float:
+        """Largest allowed number; inf where there is none."""
+        return self.bounds.most
+
+    def checked(self, value: object) -> Any:
+        """Return the value in the parameter's type."""
+        if value is None and self.is_optional:
+            return None
+        return self.converted(value, self.name, SettingError)
+
+    def converted(self, value: object, place: str, error: type[HpidError]) -> Any:
+        """Return a value as it is declared; a text may be empty if its default is."""
+        may_be_empty = self.kind is str and self.declared.default == ""
+        return _as(self.kind, value, self, place, error, may_be_empty=may_be_empty)
+
+
+def record_fields(kind: type[Record]) -> tuple[ParameterSpec, ...]:
     """Return the fields of a kind of record."""
-    found: tuple[RecordField, ...] = _fields_of(cast(Any, kind))
+    found: tuple[ParameterSpec, ...] = _fields_of(cast(Any, kind))
     return found
 
 
 @cache
-def _fields_of(kind: Any) -> tuple[RecordField, ...]:
+def _fields_of(kind: Any) -> tuple[ParameterSpec, ...]:
     hints = get_type_hints(kind)
     found = []
     for each in fields(kind):
-        what: FieldSpec = each.metadata[_KEY]
+        what = dict(vars(each.metadata[_KEY]))
         inner, is_optional = _without_none(hints[each.name])
         if get_origin(inner) is Literal:
-            inner, what = str, replace(what, choices=get_args(inner))
-        is_needed = each.default is MISSING and each.default_factory is MISSING
-        key = what.key or f"{kind._prefix}{each.name}"
-        found.append(RecordField(each.name, key, inner, is_optional, is_needed, what, each))
+            what["choices"], inner = get_args(inner), str
+        spec = ParameterSpec(
+            **what,
+            name=what["key"] or f"{kind._prefix}{each.name}",
+            path=each.name,
+            kind=inner,
+            is_optional=is_optional,
+            is_needed=each.default is MISSING and each.default_factory is MISSING,
+            declared=each,
+        )
+        found.append(spec)
     return tuple(found)
 
 
@@ -329,17 +356,17 @@ def take_record(
 ) -> AnyRecord:
     """Return the record that a section says; what else the section says stays for the caller."""
     values = dict(known or {})
-    asked = [each for each in record_fields(kind) if each.name not in values]
+    asked = [each for each in record_fields(kind) if each.path not in values]
     for each in asked:
-        section.take(each.key, None)
+        section.take(each.name, None)
     for each in asked:
-        if each.key not in section and not each.is_needed:
+        if each.name not in section and not each.is_needed:
             continue
-        value = section.take(each.key)
+        value = section.take(each.name)
         if value is OFF and each.is_optional and is_record(each.kind):
-            values[each.name] = None
+            values[each.path] = None
         else:
-            values[each.name] = _converted(value, each, section.place(each.key), section.error)
+            values[each.path] = each.converted(value, section.place(each.name), section.error)
     try:
         return kind(**values)
     except section.error:
@@ -361,71 +388,27 @@ def take_layered(
         if name not in names:
             raise section.error(f"{own.where}: {unknown_name(what, name, names)}")
     for each in record_fields(kind):
-        section.take(each.key, None)
+        section.take(each.name, None)
     records = []
     for name in names:
         layer = own.section(name, {})
         values = {}
         for each in record_fields(kind):
-            value, common = layer.take(each.key, None), section.take(each.key, None)
-            source = layer if each.key in layer else section
-            if each.key not in source:
+            value, common = layer.take(each.name, None), section.take(each.name, None)
+            source = layer if each.name in layer else section
+            if each.name not in source:
                 continue
             if source is section:
                 value = common
             elif isinstance(value, Mapping) and isinstance(common, Mapping):
                 value = {**common, **value}
             if not (value is OFF and is_record(each.kind)):
-                place = source.place(each.key)
-                values[each.name] = _converted(value, each, place, section.error)
+                place = source.place(each.name)
+                values[each.path] = each.converted(value, place, section.error)
         layer.finish()
         where = layer.where if name in own else section.where
         records.append(take_record(kind, Section({}, where, section.error), values))
     return tuple(records)
-
-
-class ParameterSpec(NamedTuple):
-    """A value of a record, or of a group in it, under a name of its own."""
-
-    name: str  # as in ROS
-    path: str  # of the attribute, from the record
-    field: RecordField
-
-    @property
-    def default(self) -> Any:
-        """Its default; None where it has none."""
-        return self.field.default
-
-    @property
-    def description(self) -> str:
-        """What it is, with the unit in brackets."""
-        return self.field.quantity.description
-
-    @property
-    def minimum(self) -> float:
-        """Least allowed number; -inf where there is none."""
-        return self.field.quantity.bounds.least
-
-    @property
-    def maximum(self) -> float:
-        """Largest allowed number; inf where there is none."""
-        return self.field.quantity.bounds.most
-
-    @property
-    def choices(self) -> tuple[str, ...]:
-        """Allowed texts; any if empty."""
-        return self.field.quantity.choices
-
-    @property
-    def slider(self) -> tuple[float, float] | None:
-        """The ends of a slider in a parameter client, each of them allowed and sensible."""
-        return self.field.quantity.slider
-
-    def checked(self, value: object) -> Any:
-        """Return the value in the parameter's type."""
-        if value is None and self.field.is_optional:
-            return None
-        return _converted(value, self.field, self.name, SettingError)
 
 
 def parameters_of(kind: type[Record]) -> Mapping[str, ParameterSpec]:
@@ -444,9 +427,9 @@ def _parameters(kind: Any) -> Mapping[str, ParameterSpec]:
     for each in record_fields(kind):
         if is_record(each.kind):
             for name, spec in parameters_of(each.kind).items():
-                found[name] = spec._replace(path=f"{each.name}.{spec.path}")
+                found[name] = replace(spec, path=f"{each.path}.{spec.path}")
         else:
-            found[each.key] = ParameterSpec(each.key, each.name, each)
+            found[each.name] = each
     return found
 
 
@@ -473,11 +456,9 @@ def _assembled(kind: Any, values: Mapping[str, object]) -> Any:
     arguments = {}
     for each in record_fields(kind):
         if is_record(each.kind):
-            arguments[each.name] = _assembled(each.kind, values)
-        elif each.key in values:
-            arguments[each.name] = ParameterSpec(each.key, each.name, each).checked(
-                values[each.key]
-            )
+            arguments[each.path] = _assembled(each.kind, values)
+        elif each.name in values:
+            arguments[each.path] = each.checked(values[each.name])
     return kind(**arguments)
 
 
@@ -487,12 +468,6 @@ def _without_none(hint: Any) -> tuple[Any, bool]:
         return hint, False
     rest = tuple(each for each in get_args(hint) if each is not types.NoneType)
     return (rest[0] if len(rest) == 1 else Union[rest]), len(rest) < len(get_args(hint))  # noqa: UP007
-
-
-def _converted(value: Any, each: RecordField, place: str, error: type[HpidError]) -> Any:
-    """Return a value as its field is declared; a text may be empty if its default is."""
-    may_be_empty = each.kind is str and each.declared.default == ""
-    return _as(each.kind, value, each.quantity, place, error, may_be_empty=may_be_empty)
 
 
 def _as(

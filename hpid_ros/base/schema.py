@@ -10,8 +10,8 @@ from hpid_ros.base.records import (
     ANY,
     OFF,
     FieldSpec,
+    ParameterSpec,
     Record,
-    RecordField,
     container_of,
     is_record,
     record_fields,
@@ -22,14 +22,14 @@ _TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", objec
 
 def json_schema(kind: type[Record]) -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of a section, all of it in one piece."""
-    named = {each.key: each for each in record_fields(kind)}
+    named = {each.name: each for each in record_fields(kind)}
     schema: dict[str, Any] = {
         "type": "object",
         "description": _summary(kind),
         "properties": {key: field_schema(each) for key, each in named.items()},
         "additionalProperties": False,
     }
-    needed = [key for key, each in named.items() if each.is_needed and each.key != "name"]
+    needed = [key for key, each in named.items() if each.is_needed and each.name != "name"]
     return schema | ({"required": needed} if needed else {})
 
 
@@ -72,16 +72,16 @@ class TableRow(NamedTuple):
 def table(kind: type[Record], prefix: str = "") -> Iterator[TableRow]:
     """Yield each key of a section, those of records within it too."""
     for each in record_fields(kind):
-        inner, place = _inner(each.kind, each.quantity)
-        if each.key == "name":  # stands for NAME in the other keys
+        inner, place = _inner(each.kind, each)
+        if each.name == "name":  # stands for NAME in the other keys
             continue
-        bounds = ", ".join(each.quantity.choices)
-        if each.quantity.bounds != ANY:
-            bounds = str(each.quantity.bounds)
+        bounds = ", ".join(each.choices)
+        if each.bounds != ANY:
+            bounds = str(each.bounds)
         default = "needed" if each.is_needed else _shown_default(each.default)
-        yield TableRow(f"{prefix}{each.key}", default, bounds, each.quantity.description)
+        yield TableRow(f"{prefix}{each.name}", default, bounds, each.description)
         if is_record(inner):
-            yield from table(inner, f"{prefix}{each.key}{place}.")
+            yield from table(inner, f"{prefix}{each.name}{place}.")
 
 
 def _inner(kind: Any, what: FieldSpec) -> tuple[Any, str]:
@@ -102,14 +102,13 @@ def _shown_default(value: Any) -> str:
     return str(list(value)) if isinstance(value, tuple) else f"{value}"
 
 
-def field_schema(each: RecordField) -> dict[str, Any]:
+def field_schema(each: ParameterSpec) -> dict[str, Any]:
     """Return the JSON Schema of one value."""
-    what = each.quantity
-    schema = _schema_of(each.kind, what)
+    schema = _schema_of(each.kind, each)
     if each.is_optional and is_record(each.kind):
         schema = {"anyOf": [schema, {"const": OFF}]}
-    schema = {**schema, "description": what.description}
-    if each.kind is str and not what.choices and (each.is_needed or each.default != ""):
+    schema = {**schema, "description": each.description}
+    if each.kind is str and not each.choices and (each.is_needed or each.default != ""):
         schema["minLength"] = 1
     if not each.is_needed and isinstance(each.default, bool | int | float | str):
         schema["default"] = each.default

@@ -478,7 +478,7 @@ def _sections(parameters: str) -> dict[str, Any]:
 def parameters_schema() -> dict[str, Any]:
     """Return the schema of a controller's parameters, whose names may be nested or dotted."""
     specs = [spec for name, spec in PARAMETERS.items() if name != "joint"]
-    properties = {spec.name: field_schema(spec.field) for spec in specs}
+    properties = {spec.name: field_schema(spec) for spec in specs}
     for prefix in dict.fromkeys(name.partition(".")[0] for name in properties if "." in name):
         inner = {
             name.partition(".")[2]: schema

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rclpy.duration import Duration
@@ -156,7 +156,7 @@ def _by_joint(node: Node, group: str) -> dict[str, float]:
     spec = parameters_of(SilenceParameters)[group]
     prefix = f"{group}."
     names = sorted(name for name in given_parameters(node) if name.startswith(prefix))
-    own = [spec._replace(name=name) for name in names]
+    own = [replace(spec, name=name) for name in names]
     return {
         each.name.removeprefix(prefix): each.checked(read_one(node, each, each.default))
         for each in own

@@ -82,7 +82,7 @@ def read_one(node: Node, spec: ParameterSpec, default: object = None, note: str 
 
     Without a default its type alone is declared.
     """
-    start = _TYPES[spec.field.kind] if default is None else default
+    start = _TYPES[spec.kind] if default is None else default
     start = list(start) if isinstance(start, tuple) else start
     described = _descriptor(spec, spec.description + note, read_only=True)
     return node.declare_parameter(spec.name, start, described).value

@@ -125,7 +125,7 @@ def _laid_over(node: Node, values: Any, robot: str, seed: int | None, engine: st
     given: dict[str, dict[str, Any]] = {"simulation": {"engine": engine}}
     given |= {"robot": {"description": robot}} if robot else {}
     for name, (section, record, key) in OVER_THE_FILE.items():
-        spec = parameters_of(record)[key]._replace(name=name)
+        spec = replace(parameters_of(record)[key], name=name)
         value = read_one(node, spec, note="; the file's, or its default, if left out")
         if value is not None:
             value = list(value) if name == "joints" else value

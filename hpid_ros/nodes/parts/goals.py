@@ -220,7 +220,7 @@ FIXED_PARAMETERS = parameters_of(FixedParameters)
 
 def joint_parameters(joint: str) -> Mapping[str, ParameterSpec]:
     own = parameters_of(JointParameters).items()
-    specs = [spec._replace(name=f"constraints.{joint}.{name}") for name, spec in own]
+    specs = [replace(spec, name=f"constraints.{joint}.{name}") for name, spec in own]
     return {spec.name: spec for spec in specs}
 
 

@@ -108,11 +108,11 @@ def test_a_group_made_in_python_names_the_parameter_that_it_refuses(kind):
     for each in record_fields(kind):
         if is_dataclass(each.kind):
             continue
-        spec = PARAMETERS[each.key]
+        spec = PARAMETERS[each.name]
         bad = [math.nan, math.inf, "x", True, None] if isinstance(spec.default, float) else [7.0]
         for value in bad:
             with pytest.raises(SettingError, match=rf"^{spec.name} must "):
-                kind(**{each.name: value})
+                kind(**{each.path: value})
 
 
 @pytest.mark.parametrize(
