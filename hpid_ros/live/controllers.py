@@ -11,7 +11,7 @@ from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.base.files import ResourceError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
-from hpid_ros.robot.description import RobotLimits, robot_limits
+from hpid_ros.robot.description import JointDescription, robot_limits
 
 SILENT_AFTER = 3.0
 """Time without a word on ``/diagnostics`` in [s]; controllers report once a second."""
@@ -39,7 +39,7 @@ class Controller:
     node: str  # its full name
     parameters: Mapping[str, Any]  # all of READ_PARAMETERS
     settings: LoopSettings  # active, within the limits of its robot
-    limits: RobotLimits  # what its robot allows
+    limits: JointDescription  # what its robot allows
     lifecycle: str = ""  # label of its state, for instance active; empty while unknown
     health: Health | None = None  # what it said last; None before it said anything
     is_here: bool = True  # whether it is on the graph now
@@ -88,7 +88,7 @@ def _of_loop(parameters: Mapping[str, Any]) -> dict[str, Value]:
 
 
 @lru_cache(maxsize=64)  # a controller is read again after every doubt
-def _described_limits(source: str, joint: str) -> RobotLimits:
+def _described_limits(source: str, joint: str) -> JointDescription:
     """Return the limits of a joint in the description that its controller has."""
     try:
         return robot_limits(source, joint)

@@ -50,7 +50,7 @@ def hold(element: ElementTree.Element, joint: JointDescription, position: float)
     angles = [float(word) for word in origin.get("rpy", "0 0 0").split()]
     turn = Rotation.from_euler("xyz", angles)  # about fixed axes
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    if joint.type == "prismatic":
+    if joint.is_slide:
         place = place + turn.as_matrix() @ (axis * position)
     elif position:
         turn = turn * Rotation.from_rotvec(axis * position)

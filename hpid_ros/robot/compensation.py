@@ -462,7 +462,7 @@ def _of_the_robot(settings: LoopSettings, robot: str) -> tuple[RobotDynamics, Ro
             raise SettingError(found.text)
         time_constant = found.time_constant
     described = space.description.joints
-    endless = [name for name in space.joints if described[name].type == "continuous"]
+    endless = [name for name in space.joints if described[name].is_continuous]
     states = RobotStates(settings, space.joints, model.is_decoupling, time_constant, endless)
     return RobotDynamics(space), states
 

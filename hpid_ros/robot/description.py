@@ -98,9 +98,48 @@ class JointDescription:
         return self.type == "prismatic"
 
     @property
+    def is_continuous(self) -> bool:
+        """Whether it turns without end."""
+        return self.type == "continuous"
+
+    @property
     def reflected_inertia(self) -> float:
         """Rotor inertia as the joint feels it, Jr N^2, in [kg m^2]."""
         return self.rotor_inertia * self.gear_ratio**2
+
+    def within(self, settings: LoopSettings) -> LoopSettings:
+        """Return settings within the limits of this joint, with its friction where they ask."""
+        effort, motion, encoder = settings.effort, settings.motion, settings.encoder
+        ahead = settings.feedforward
+        wraps = self.is_continuous and encoder.wrap < 0.0
+        return replace(
+            settings,
+            effort=replace(
+                effort,
+                u_clamp_max=max(min(effort.u_clamp_max, self.effort), -self.effort),
+                u_clamp_min=min(max(effort.u_clamp_min, -self.effort), self.effort),
+            ),
+            motion=replace(
+                motion,
+                position_max=min(motion.position_max, self.upper),
+                position_min=max(motion.position_min, self.lower),
+                velocity_max=min(motion.velocity_max, self.velocity),
+            ),
+            encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
+            feedforward=replace(
+                ahead,
+                viscous_friction=(
+                    self.damping if ahead.viscous_friction < 0.0 else ahead.viscous_friction
+                ),
+                coulomb_friction=(
+                    self.friction if ahead.coulomb_friction < 0.0 else ahead.coulomb_friction
+                ),
+            ),
+        )
+
+
+UNLIMITED = JointDescription("", "revolute", (1.0, 0.0, 0.0), "", "")
+"""A joint of which nothing is known."""
 
 
 def read_joint(
@@ -383,69 +422,9 @@ class GivenRobot:
     wheels: tuple[str, ...] = ()  # joints on which its base rolls, as far as they are named
 
 
-@dataclass(frozen=True)
-class RobotLimits:
-    """What the robot's description allows a joint; it holds together with the parameters."""
-
-    effort: float = math.inf  # [N m] largest absolute effort
-    lower: float = -math.inf  # [rad] lowest position
-    upper: float = math.inf  # [rad] highest position
-    velocity: float = math.inf  # [rad/s] largest absolute velocity
-    damping: float = 0.0  # [N m s/rad] its viscous friction
-    friction: float = 0.0  # [N m] its Coulomb friction
-    is_continuous: bool = False  # whether the joint turns without end
-    is_slide: bool = False  # whether it slides: "rad" reads "m" then, and "N m" reads "N"
-
-    @classmethod
-    def of(cls, joint: JointDescription) -> RobotLimits:
-        """Return those of a joint."""
-        return cls(
-            joint.effort,
-            joint.lower,
-            joint.upper,
-            joint.velocity,
-            joint.damping,
-            joint.friction,
-            is_continuous=joint.type == "continuous",
-            is_slide=joint.type == "prismatic",
-        )
-
-    def within(self, settings: LoopSettings) -> LoopSettings:
-        """Return the settings within these limits."""
-        effort, motion, encoder = settings.effort, settings.motion, settings.encoder
-        ahead = settings.feedforward
-        wraps = self.is_continuous and encoder.wrap < 0.0
-        return replace(
-            settings,
-            effort=replace(
-                effort,
-                u_clamp_max=max(min(effort.u_clamp_max, self.effort), -self.effort),
-                u_clamp_min=min(max(effort.u_clamp_min, -self.effort), self.effort),
-            ),
-            motion=replace(
-                motion,
-                position_max=min(motion.position_max, self.upper),
-                position_min=max(motion.position_min, self.lower),
-                velocity_max=min(motion.velocity_max, self.velocity),
-            ),
-            encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
-            feedforward=replace(
-                ahead,
-                viscous_friction=(
-                    self.damping if ahead.viscous_friction < 0.0 else ahead.viscous_friction
-                ),
-                coulomb_friction=(
-                    self.friction if ahead.coulomb_friction < 0.0 else ahead.coulomb_friction
-                ),
-            ),
-        )
-
-
-def robot_limits(source: str, joint: str) -> RobotLimits:
-    """Return what a description, XML text or a file, allows a joint; without one anything."""
+def robot_limits(source: str, joint: str) -> JointDescription:
+    """Return a joint of a description, XML text or a file; without one a joint without limits."""
     if not source or not joint:
-        return RobotLimits()
-    if not source.lstrip().startswith("<"):
-        source = str(find_resource(source))
-    (found,) = RobotDescription.load(source).select([joint])
-    return RobotLimits.of(found)
+        return UNLIMITED
+    (found,) = RobotDescription.load(robot_source(source)).select([joint])
+    return found

@@ -243,9 +243,7 @@ class Kinematics:
             column = self.joints.index(name) if name in self.joints else None
             still = float(self._motion[velocity_index(self._model, name)])
             rotation, origin = placement.rotation.copy(), placement.translation.copy()
-            pieces.append(
-                ChainJoint(rotation, origin, axis, joint.type == "prismatic", column, still)
-            )
+            pieces.append(ChainJoint(rotation, origin, axis, joint.is_slide, column, still))
         tip = frame.placement
         return SerialChain(tuple(pieces), tip.rotation.copy(), tip.translation.copy())
 

@@ -200,7 +200,7 @@ class _Robot:
 
 
 def _add_joint(body: Any, joint: JointDescription, shortest: float) -> None:
-    kind = "mjJNT_SLIDE" if joint.type == "prismatic" else "mjJNT_HINGE"
+    kind = "mjJNT_SLIDE" if joint.is_slide else "mjJNT_HINGE"
     is_limited = math.isfinite(joint.lower) and math.isfinite(joint.upper)
     body.add_joint(
         name=joint.name,

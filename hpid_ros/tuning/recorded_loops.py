@@ -35,7 +35,7 @@ from hpid_ros.messages.selection import (
     namespace_of,
 )
 from hpid_ros.messages.storage import PARAMETERS, Storage, recorded_slides
-from hpid_ros.robot.description import RobotLimits, robot_limits
+from hpid_ros.robot.description import JointDescription, robot_limits
 from hpid_ros.tuning.replay import (
     Answer,
     AskedReference,
@@ -57,7 +57,7 @@ class Controller(NamedTuple):
 
     node: str  # its name, without a namespace
     settings: LoopSettings  # its settings, within the robot's limits
-    limits: RobotLimits  # what the robot allows the joint
+    limits: JointDescription  # what the robot allows the joint
     robot: str  # the robot's description: XML text or a path, empty for none
     allows_relay: bool  # whether it obeys ~/relay
 
@@ -106,7 +106,7 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
     return controllers
 
 
-def _as_applied(settings: LoopSettings, limits: RobotLimits, robot: str) -> LoopSettings:
+def _as_applied(settings: LoopSettings, limits: JointDescription, robot: str) -> LoopSettings:
     """Return settings as a controller applies them."""
     settings = limits.within(settings)
     if not settings.model.is_on:

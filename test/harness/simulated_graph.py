@@ -14,7 +14,7 @@ from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.live.controllers import Answer, Change, Controller, Health, Samples
-from hpid_ros.robot.description import RobotLimits
+from hpid_ros.robot.description import UNLIMITED
 
 PERIOD_NS = 1_000_000
 _OF_NODE = {
@@ -99,7 +99,7 @@ class SimulatedGraph:
                 {**_OF_NODE, **joint.settings.to_parameters()}
                 | {"require_certificate": self.certified},
                 joint.settings,
-                RobotLimits(),
+                UNLIMITED,
                 "active" if joint.is_active else "inactive",
                 Health(0, "following a reference", {"missed samples": "0"}, time.monotonic()),
                 node not in self.gone,

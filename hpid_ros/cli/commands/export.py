@@ -25,7 +25,6 @@ from hpid_ros.cli.options import (
 )
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.in_process import controllers_text
-from hpid_ros.robot.description import RobotLimits
 from hpid_ros.stability.gain_boxes import gain_ranges
 from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.tuning.c_export import c_files, file_names, require_distinct
@@ -118,7 +117,7 @@ def _within_robot(
         found = robot.select([each.joint for each in loops])
     except HpidError as error:
         raise SettingError(f"{options.urdf}: {error}") from None
-    return [RobotLimits.of(own).within(loop) for own, loop in zip(found, loops, strict=True)]
+    return [own.within(loop) for own, loop in zip(found, loops, strict=True)]
 
 
 def _refuse_in_the_way(options: argparse.Namespace, names: Iterable[str]) -> None:

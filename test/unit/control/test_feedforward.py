@@ -1,5 +1,6 @@
 """What is fed forward: the reference is met with less error, and no effort jumps."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -12,7 +13,7 @@ from hpid_ros.control import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
-from hpid_ros.robot.description import RobotLimits
+from hpid_ros.robot.description import UNLIMITED
 
 MS, SECOND = 1_000_000, 1_000_000_000
 PID = {"law": "pid", "gains__p": 200.0, "gains__i": 500.0, "gains__d": 20.0}
@@ -204,7 +205,7 @@ def test_what_is_described_is_taken():
     names = ("inertia", "viscous_friction", "coulomb_friction")
     known = {"inertia": 0.3, "gains__p": 1.0, "gains__i": 0.1, "gains__d": 1.0, "law": "pid"}
     asked = loop_settings(**known, **{f"feedforward__{name}": -1.0 for name in names})
-    described = RobotLimits(damping=0.25, friction=0.75).within(asked).feedforward
+    described = replace(UNLIMITED, damping=0.25, friction=0.75).within(asked).feedforward
     assert (described.viscous_friction, described.coulomb_friction) == (0.25, 0.75)
     loop = pure_loop(**known, feedforward__inertia=-1.0)
     loop.follow(Column("elbow", (Knot(0, 0.0, 0.0, 2.0), Knot(SECOND, 1.0, 0.0, 0.0)), stamp_ns=1))
