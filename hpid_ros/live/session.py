@@ -124,7 +124,7 @@ class Tuning:
 
     def stage(self, nodes: Sequence[str], name: str, value: object) -> None:
         """Choose a value for controllers; what is active already is not staged."""
-        checked = _checked(name, value)
+        checked = PARAMETERS[name].checked(value)
         for node in nodes:
             chosen = {**self.staged.get(node, {}), name: checked}
             self.staged[node] = differences(self.in_force[node], chosen)
@@ -136,7 +136,11 @@ class Tuning:
                 f"a factor must be positive and at most {_LARGEST_FACTOR:g}, not {factor:g}"
             )
         products = [
-            (node, gain, _checked(gain, factor**power * float(self.in_force[node][gain])))
+            (
+                node,
+                gain,
+                PARAMETERS[gain].checked(factor**power * float(self.in_force[node][gain])),
+            )
             for node in nodes
             for gain, power in _POWERS[name].items()
         ]
@@ -246,13 +250,6 @@ class Tuning:
             names = ", ".join(loops) or "none"
             raise SettingError(f"no controller of this file is here; it has {names}")
         return sorted(found)
-
-
-def _checked(name: str, value: object) -> Value:
-    spec = PARAMETERS[name]
-    if isinstance(value, int) and isinstance(spec.default, float) and not isinstance(value, bool):
-        value = float(value)
-    return spec.checked(value)
 
 
 _AT_REST = ("inactive", "unconfigured", "finalized")  # lifecycle of what drives nothing

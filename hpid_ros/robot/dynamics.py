@@ -211,30 +211,12 @@ class Dynamics:
 _FORWARD, _YAW = 0, 5  # of the twist of the root link, in its own axes
 
 
-class _RollingRobot(Dynamics):
-    """The robot with a free root, seen through wheels that roll and do not slip."""
-
-    def wheel_mass(
-        self, drive: DifferentialDrive, positions: Mapping[str, float]
-    ) -> dict[str, float]:
-        """Return each wheel's effective inertia in [kg m^2]."""
-        mass = self._mass(positions)
-        motions = np.zeros((mass.shape[0], 2))
-        for column, rates in enumerate(((1.0, 0.0), (0.0, 1.0))):
-            motions[_FORWARD, column], motions[_YAW, column] = drive.twist(*rates)
-            motions[self._velocity_index(drive.joints[column]), column] = 1.0
-        mobility = np.diagonal(np.linalg.inv(motions.T @ mass @ motions))
-        return {
-            joint: float(1.0 / each) for joint, each in zip(drive.joints, mobility, strict=True)
-        }
-
-
 def wheel_inertias(
     description: RobotDescription,
     drive: DifferentialDrive,
     positions: Mapping[str, float],
     payload_mass: float = 0.0,
-    payload_link: str = "payload",
+    payload_link: str = PAYLOAD_LINK,
 ) -> dict[str, float]:
     r"""Return what each wheel's motor has to accelerate while the robot rolls on the ground.
 
@@ -245,8 +227,14 @@ def wheel_inertias(
     so the other wheel is free to roll. Supporting balls are taken to have no drag and no mass
     of their own.
     """
-    robot = _RollingRobot(description, False, payload_mass, payload_link)
-    return robot.wheel_mass(drive, positions)
+    robot = Dynamics(description, False, payload_mass, payload_link)
+    mass = robot._mass(positions)
+    motions = np.zeros((mass.shape[0], 2))
+    for column, rates in enumerate(((1.0, 0.0), (0.0, 1.0))):
+        motions[_FORWARD, column], motions[_YAW, column] = drive.twist(*rates)
+        motions[robot._velocity_index(drive.joints[column]), column] = 1.0
+    mobility = np.diagonal(np.linalg.inv(motions.T @ mass @ motions))
+    return {joint: float(1.0 / each) for joint, each in zip(drive.joints, mobility, strict=True)}
 
 
 _RATIO = 100.0  # of a gear of which nothing is said

@@ -89,21 +89,16 @@ class ReportTimes:
     """Tells which states come with a report: the first, then one a period, and the last of all."""
 
     def __init__(self, rate: float, end_ns: int | None = None) -> None:
-        self._period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0
+        self.period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0  # 0: never a report
         self._end_ns = end_ns
         self._last_ns: int | None = None
 
-    @property
-    def is_off(self) -> bool:
-        """Whether there is never a report."""
-        return not self._period_ns
-
     def is_due(self, stamp_ns: int) -> bool:
         """Return whether a state comes with a report; ask once for each state."""
-        if not self._period_ns:
+        if not self.period_ns:
             return False
         last_ns = self._last_ns
-        is_soon = last_ns is not None and 0 <= stamp_ns - last_ns < self._period_ns
+        is_soon = last_ns is not None and 0 <= stamp_ns - last_ns < self.period_ns
         if is_soon and stamp_ns != self._end_ns:
             return False
         self._last_ns = stamp_ns
@@ -133,17 +128,9 @@ class BaseMonitor:
         self._quantum = self.drive.radius * max(steps, default=0.0)  # [m]
         self._stamp_ns: int | None = None
         self._odometry: Odometry
-        self._slip: SlipMeter
-
-    @property
-    def slip(self) -> Slip:
-        """Slip up to the last state that was noted."""
-        return Slip(0.0, 0.0, 0.0) if self._stamp_ns is None else self._slip.slip
-
-    @property
-    def distance(self) -> float:
-        """Distance that the wheels have driven so far, there and back both counted, in [m]."""
-        return 0.0 if self._stamp_ns is None else self._driven
+        self._meter: SlipMeter
+        self.slip = Slip(0.0, 0.0, 0.0)  # up to the last state that was noted
+        self.distance = 0.0  # [m] that the wheels have driven, there and back both counted
 
     def note(self, positions: Sequence[float]) -> None:
         """Take the present state of the world, once for each state."""
@@ -154,15 +141,15 @@ class BaseMonitor:
         pose = planar(self._world.base_pose())
         if self._stamp_ns is None or now_ns < self._stamp_ns:
             self._odometry = Odometry(self.drive, left, right)
-            self._slip = SlipMeter(self.drive, wheels, pose)
+            self._meter = SlipMeter(self.drive, wheels, pose)
             self._before = now_ns, 0.0, 0.0
-            self._driven = 0.0
+            self.distance = 0.0
         else:
             before = self._odometry.distance
             self._odometry.update(left, right)
-            self._driven += abs(self._odometry.distance - before)
-            self._slip.update(wheels, pose)
-        self._stamp_ns = now_ns
+            self.distance += abs(self._odometry.distance - before)
+            self._meter.update(wheels, pose)
+        self.slip, self._stamp_ns = self._meter.slip, now_ns
 
     def report(self) -> OdometryValues:
         """Return odometry of the wheels; its twist is the mean since the report before."""
@@ -254,7 +241,7 @@ class Reports:
         self._world, self._link = world, link
         self._times = ReportTimes(rate, end_ns)
         self._odom, self._root = prefix + ODOM_FRAME, prefix + world.description.root
-        known = [] if self._times.is_off else [CLOCK, ODOM, TRUTH, END_EFFECTOR]
+        known = [CLOCK, ODOM, TRUTH, END_EFFECTOR] if self._times.period_ns else []
         if world.settings.base is not None and known:
             known.append(SLIP)
         if world.gripper is not None:
@@ -273,7 +260,7 @@ class Reports:
         yield from self.events()
         if self._monitor is not None:
             self._monitor.note(positions)
-        if not self._times.is_off and self._times.is_due(stamp_ns):
+        if self._times.is_due(stamp_ns):
             for topic, encode in self._due(stamp_ns):
                 yield from self._counted(topic, encode)
 
