@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -82,17 +82,16 @@ class Adviser:
     def __init__(self) -> None:
         self._known: dict[LoopKind, _Interval | str] = {}
 
-    def advise(self, settings: LoopSettings, step: float) -> Advice:
-        """Return what is known of settings, however long that takes."""
-        quick = self.quick(settings, step)
-        if not quick.is_pending:
-            return quick
-        found = self._degrees(settings)
-        interval, reason = (None, found) if isinstance(found, str) else (found, "")
-        return replace(quick, interval=interval, reason=reason, is_pending=False)
+    def advise(self, settings: LoopSettings, step: float) -> Iterator[Advice]:
+        """Yield what is known of settings at once, and then, where there may be one, the rest."""
+        advice = self._without_certificate(settings, step)
+        yield advice
+        if advice.is_pending:
+            found = self._degrees(settings)
+            interval, reason = (None, found) if isinstance(found, str) else (found, "")
+            yield replace(advice, interval=interval, reason=reason, is_pending=False)
 
-    def quick(self, settings: LoopSettings, step: float) -> Advice:
-        """Return what is known at once: all but a certificate that nobody has asked for before."""
+    def _without_certificate(self, settings: LoopSettings, step: float) -> Advice:
         inertia = settings.plant_inertia
         if not inertia > 0.0:
             return Advice(reason=UNKNOWN_INERTIA)
@@ -275,11 +274,8 @@ def main() -> int:
         except HpidError as error:
             _tell(Advice(reason=str(error)))
             continue
-        step = float(question["step"])
-        quick = adviser.quick(settings, step)
-        _tell(quick)
-        if quick.is_pending:
-            _tell(adviser.advise(settings, step))
+        for advice in adviser.advise(settings, float(question["step"])):
+            _tell(advice)
     return 0
 
 

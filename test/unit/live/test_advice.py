@@ -22,7 +22,7 @@ def adviser():
 
 def test_the_interval_is_that_of_check_gains(adviser):
     settings = loop_settings("elbow", **{"gains.i": 1500.0})
-    advice = adviser.advise(settings, 0.1)
+    *_, advice = adviser.advise(settings, 0.1)
     assert 20.0 < advice.phase < 90.0
     assert 0.0 < advice.delay < 1.0
     assert advice.sensitivity >= 1.0
@@ -36,7 +36,7 @@ def test_the_interval_is_that_of_check_gains(adviser):
 )
 def test_where_nothing_can_be_certified_it_says_why(adviser, changes, reason):
     settings = loop_settings("elbow").with_parameters(changes)
-    advice = adviser.advise(settings, 0.1)
+    *_, advice = adviser.advise(settings, 0.1)
     assert advice.interval is None
     assert reason in advice.reason
     again = Advice.from_mapping(json.loads(json.dumps(asdict(advice))))
