@@ -82,6 +82,11 @@ class Track:
         first, last = np.searchsorted(rows[:, 0], [begin, np.nextafter(end, math.inf)])
         return rows[first:last]
 
+    def latest(self, over: float) -> Numbers:
+        """Return the rows of the last seconds."""
+        rows = self.rows
+        return self.within(rows[-1, 0] - over, rows[-1, 0]) if len(rows) else rows
+
 
 class WindowIndices(NamedTuple):
     """Indices over the last seconds, so that windows of any length compare; "rad" may read "m"."""
@@ -231,28 +236,19 @@ class JointHistory:
 
     def indices(self, over: float) -> WindowIndices:
         """Return indices over the last seconds; nan where there are no samples."""
-        errors = self._errors.rows
-        efforts = self._efforts.rows
+        errors, efforts = self._errors.latest(over), self._efforts.latest(over)
         if len(errors) < 2 or len(efforts) < 2:
             return _NO_INDICES
-        errors = self._errors.within(errors[-1, 0] - over, errors[-1, 0])
-        efforts = self._efforts.within(efforts[-1, 0] - over, efforts[-1, 0])
-        return _indices(errors, efforts)
-
-
-def _indices(errors: Numbers, efforts: Numbers) -> WindowIndices:
-    if len(errors) < 2 or len(efforts) < 2:
-        return _NO_INDICES
-    times, sizes = errors[:, 0] - errors[0, 0], np.abs(errors[:, 1])
-    length, acting = float(times[-1]), float(efforts[-1, 0] - efforts[0, 0])
-    if not (length > 0.0 and acting > 0.0):
-        return _NO_INDICES
-    return WindowIndices(
-        _integral(times, times * sizes) / (0.5 * length**2),
-        float(np.sum(np.abs(np.diff(efforts[:, 1])))) / acting,
-        math.sqrt(_integral(efforts[:, 0], efforts[:, 1] ** 2) / acting),
-        float(np.max(sizes)),
-    )
+        times, sizes = errors[:, 0] - errors[0, 0], np.abs(errors[:, 1])
+        length, acting = float(times[-1]), float(efforts[-1, 0] - efforts[0, 0])
+        if not (length > 0.0 and acting > 0.0):
+            return _NO_INDICES
+        return WindowIndices(
+            _integral(times, times * sizes) / (0.5 * length**2),
+            float(np.sum(np.abs(np.diff(efforts[:, 1])))) / acting,
+            math.sqrt(_integral(efforts[:, 0], efforts[:, 1] ** 2) / acting),
+            float(np.max(sizes)),
+        )
 
 
 def _integral(times: Numbers, values: Numbers) -> float:

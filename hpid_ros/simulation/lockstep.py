@@ -54,7 +54,8 @@ class Barrier:
         self._past: tuple[int | None, list[float | None]] = None, []
         self._given: list[float | None] = [None] * len(self.joints)  # as they came
         self._missing: set[str] = set()  # of the present state; never also silent
-        self._efforts = [0.0] * len(self.joints)
+        self.efforts = [0.0] * len(self.joints)
+        """The answers to the present state in [N m]; zero where there is none."""
 
     @property
     def silent(self) -> tuple[str, ...]:
@@ -65,11 +66,6 @@ class Barrier:
     def missing(self) -> tuple[str, ...]:
         """Joints that the present state still waits for, in their order."""
         return tuple(joint for joint in self.joints if joint in self._missing)
-
-    @property
-    def efforts(self) -> list[float]:
-        """The answers to the present state in [N m]; zero where there is none."""
-        return self._efforts
 
     @property
     def is_abandoned(self) -> bool:
@@ -84,7 +80,7 @@ class Barrier:
         if self._silent:
             self._readmit()
         self._missing = set(self._everyone - self._silent)
-        self._efforts = [0.0] * len(self.joints)
+        self.efforts = [0.0] * len(self.joints)
 
     def _readmit(self) -> None:
         """Wait again for those that have answered states that did not wait for them."""
@@ -126,7 +122,7 @@ class Barrier:
             counts.repeated += 1
             counts.conflicting += _differ(self._given[index], effort)
         self._given[index] = effort
-        self._efforts[index] = counts.checked(effort, self._limits[index])
+        self.efforts[index] = counts.checked(effort, self._limits[index])
 
     def time_out(self) -> tuple[str, ...]:
         """Stop waiting for those that have not answered."""
@@ -143,7 +139,7 @@ class Barrier:
         """Count who did not answer, and return the efforts for the physics in [N m]."""
         for joint in self._silent:
             self.counts[joint].unanswered += 1
-        return self._efforts
+        return self.efforts
 
 
 def _differ(before: float | None, effort: float) -> bool:
