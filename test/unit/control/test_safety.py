@@ -329,15 +329,6 @@ def test_a_glide_starts_and_ends_as_it_must_and_its_velocity_is_its_derivative(
         assert slope == pytest.approx(here[lower + 1], abs=2e-3 * (1.0 + 60.0 / duration**2))
 
 
-def test_release_forgets_the_motion_and_holds_what_comes_next():
-    loop = loop_on(Setpoint(1.0))
-    run(loop, 0, 100, 0.0)
-    loop.release()
-    assert loop.step(SECOND, 0.6, 0.0) == 0.0
-    assert loop.reference == (0.6, 0.0)
-    assert loop.integral == 0.0
-
-
 def test_a_damping_stop_only_takes_energy_out_and_ends_with_nothing():
     loop = loop_on(u_clamp_max=30.0, u_clamp_min=-30.0)
     run(loop, 0, 10, 0.0)
