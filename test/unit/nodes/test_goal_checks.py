@@ -68,16 +68,9 @@ def checked(names, times, positions, velocities=None):
         ([], [1], [[]], None, "INVALID_JOINTS", "each of its joints once, not \\[\\]"),
         (["a", "a"], [1], [[1, 1]], None, "INVALID_JOINTS", "each of its joints once"),
         (["a"], [], [], None, "INVALID_GOAL", "at least one point"),
-        (["a"], [2, 2], [[1], [2]], None, "INVALID_GOAL", "times must increase"),
         (["a"], [3, 2], [[1], [2]], None, "INVALID_GOAL", "point 1 has 2 ns after 3 ns"),
-        (["a"], [-1], [[1]], None, "INVALID_GOAL", "times must increase from 0 ns on"),
-        (["a"], [1], [[]], None, "INVALID_GOAL", "point 0 must have 1 positions, not 0"),
         (["a"], [1], [[1, 2]], None, "INVALID_GOAL", "must have 1 positions, not 2"),
-        (["a"], [1, 2], [[1], [2]], [[0], [0, 0]], "INVALID_GOAL", "0 or 1 velocities, not 2"),
-        (["a"], [1], [[np.nan]], None, "INVALID_GOAL", "must be finite, not nan for 'a'"),
         (["a", "b"], [1], [[0, np.inf]], None, "INVALID_GOAL", "not inf for 'b'"),
-        (["a"], [1], [[1]], [[np.nan]], "INVALID_GOAL", "velocities of point 0 must be finite"),
-        (["a"], [1], [[1e12]], None, "INVALID_GOAL", "within 1e\\+09"),
     ],
 )
 def test_what_is_no_trajectory_is_refused(names, times, positions, velocities, code, line):
