@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from harness.bag_reader import BagReader
 from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.messages import PARAMETER_EVENTS
 from hpid_ros.messages.reports import ODOMETRY, Stamp, encode_odometry
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import JointSeries, Losses
@@ -20,6 +21,7 @@ from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+FLOATS = "std_msgs/msg/Float64MultiArray"
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 S = 1_000_000_000
 MS = 1_000_000
@@ -98,6 +100,35 @@ def convert(source: Path, target: Path, storage: StoragePlugin, mode: Compressio
         }
         for name, log_time_ns, raw in bag.messages():
             writer.write(connections[name], log_time_ns, raw)
+
+
+def serialised(kind: str, *values: object, **named: object) -> bytes:
+    """Return a message in CDR."""
+    return bytes(TYPES.serialize_cdr(TYPES.types[kind](*values, **named), kind))
+
+
+def floats(*values: float) -> bytes:
+    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    return serialised(FLOATS, layout, np.array(values))
+
+
+VALUES = {bool: "bool_value", int: "integer_value", float: "double_value", str: "string_value"}
+
+
+def parameter_event(node: str, **changes: object) -> bytes:
+    """Return an event of changed parameters; in their names ``__`` stands for a dot."""
+    types, none = TYPES.types, np.empty(0)
+    arrays = dict.fromkeys(
+        (f"{k}_array_value" for k in ("byte", "bool", "integer", "double")), none
+    )
+    unset = {field: kind() for kind, field in VALUES.items()} | arrays | {"string_array_value": []}
+    changed = []
+    for name, value in changes.items():
+        own = {"type": 1 + list(VALUES).index(type(value)), VALUES[type(value)]: value}
+        content = types["rcl_interfaces/msg/ParameterValue"](**unset | own)
+        changed.append(types["rcl_interfaces/msg/Parameter"](name.replace("__", "."), content))
+    stamp = types["builtin_interfaces/msg/Time"](0, 0)
+    return serialised(PARAMETER_EVENTS, stamp, node, [], changed, [])
 
 
 def small_log(scale: float = 1.0, count: int = 60) -> list[tuple[str, int, bytes]]:

@@ -4,31 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from harness.bags import (
-    TYPES,
-    S,
-    command,
-    state,
-)
+from harness.bags import TYPES, S, command, serialised, state
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 
 FLOAT64 = "std_msgs/msg/Float64"
-FLOATS = "std_msgs/msg/Float64MultiArray"
 LATENCY = 2000  # [ns]
 
 
 def float64(value: float) -> bytes:
-    return bytes(TYPES.serialize_cdr(TYPES.types[FLOAT64](value), FLOAT64))
-
-
-def floats(*values: float) -> bytes:
-    dimension = TYPES.types["std_msgs/msg/MultiArrayDimension"]("joint", len(values), 1)
-    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([dimension], 0)
-    return bytes(TYPES.serialize_cdr(TYPES.types[FLOATS](layout, np.array(values)), FLOATS))
+    return serialised(FLOAT64, value)
 
 
 def write(path: Path, types, log, store=TYPES) -> Path:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from harness.bags import (
+    FLOATS,
     JOINT_STATE,
     JOINT_TRAJECTORY,
     MS,
@@ -18,6 +19,7 @@ from harness.bags import (
     S,
     bits,
     command,
+    floats,
     ramp,
     read_one,
     small_log,
@@ -27,11 +29,9 @@ from harness.bags import (
 )
 from harness.foreign_bags import (
     FLOAT64,
-    FLOATS,
     LATENCY,
     commands,
     float64,
-    floats,
     in_order,
     read,
     states,

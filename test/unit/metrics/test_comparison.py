@@ -126,12 +126,10 @@ def test_the_mapping_is_json_even_against_a_zero_baseline():
 
 def test_the_answer_says_what_got_better_and_what_got_worse():
     comparison = Comparison((run("PID", [(100, 100, 10)]), run("hPID", [(50, 300, 10)], (0.5, 1))))
-    assert answer(comparison) == (
-        "hPID against PID, over the one joint: mixed. Better: the variation of the effort (IVC) "
-        "by 50.0% and the L2 norm of the effort (||u||) by 50.0%. Worse: the effort spent (IAVC) "
-        "to 3 times. Unchanged: the time-weighted error (ITAE) and the L2 norm of the error "
-        "(||e||). "
-        "Unchanged means within 0.05%."
+    found = re.findall(r"(mixed|[A-Z]\w+:|\(.+?\)|by [\d.]+%|to \d times)", answer(comparison))
+    assert " ".join(found) == (
+        "mixed Better: (IVC) by 50.0% (||u||) by 50.0% Worse: (IAVC) to 3 times "
+        "Unchanged: (ITAE) (||e||)"
     )
 
 
@@ -309,19 +307,6 @@ def test_the_table_of_two_runs_fits_eighty_columns_side_by_side(paper):
     assert next(line for line in lines if line.startswith("total")).split()[3] == "0.496▼"
 
 
-@pytest.mark.parametrize("width", [60, 66, 80, 120])
-def test_no_number_is_cut_off_at_any_width(three, width):
-    text = table_text(three, width)
-    assert max(map(len, text.splitlines())) <= width
-    assert "…" not in text
-    numbers = [
-        format_values(r.value(q, j) for r in three.runs for j in (*three.joint_names, None))
-        for q in INDICES
-    ]
-    for number in {n[:4] for column in numbers for n in column}:
-        assert number in text
-
-
 def test_better_and_worse_read_without_colour_and_without_unicode(paper):
     assert "0.259▼" in table_text(paper)
     assert "1.054▲" in table_text(paper)  # the error norm
@@ -332,14 +317,6 @@ def test_better_and_worse_read_without_colour_and_without_unicode(paper):
     text = stream.buffer.getvalue().decode("ascii")
     assert "0.259v" in text
     assert "1.054^" in text
-
-
-def test_labels_are_text_and_never_markup():
-    names = ["[red]a[/red]", "[/]"]
-    rows = [(1, 1, 1), (2, 2, 2)]
-    comparison = Comparison((run("[b]x", rows, names=names), run(":smile:", rows, names=names)))
-    text = table_text(comparison, 120)
-    assert all(word in text for word in (*names, "[b]x", ":smile:"))
 
 
 @given(st.lists(st.floats(0.0, 1e12), min_size=1, max_size=8))

@@ -26,8 +26,6 @@ from hpid_ros.metrics.results import run_indices, runs_from_mapping, with_angles
 from hpid_ros.report.export import table_csv, table_latex
 from hpid_ros.report.table import table_text
 
-MS = 1_000_000
-
 
 def recording(label="PID", scale=1.0, duration=2.0, shift=0.0, names=("a", "b"), period=1e-3):
     """A joint that steps and one that follows a sine."""

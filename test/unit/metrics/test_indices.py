@@ -1,5 +1,4 @@
 import dataclasses
-import json
 import math
 
 import numpy as np
@@ -189,15 +188,6 @@ def test_a_joint_without_a_reference_has_efforts_and_no_error_and_no_sum_goes_ov
         _ = unknown.error
     with pytest.raises(SeriesError, match="reference has shape"):
         JointSeries("b", stamps, np.zeros(3), [1.0], stamps, np.zeros(3))
-
-
-def test_the_numbers_as_a_mapping_are_json_and_name_their_units():
-    run = run_indices(RunSeries("x", (series("a", [1.0, 2.0], [0.1, 0.2]),)))
-    mapping = json.loads(json.dumps(run.as_mapping(), allow_nan=False))
-    assert mapping["joints"]["a"]["ivc"] == run.value(IVC, "a")
-    assert set(mapping["units"]) == set(QUANTITIES)
-    assert set(mapping["joints"]["a"]) <= set(QUANTITIES)
-    assert mapping["units"]["itae"] == "rad s^2"
 
 
 # Refusals --------------------------------------------------------------------------------------

@@ -1,52 +1,16 @@
 """Changes of parameters while a bag was recorded are found and put on the states' clock."""
 
-import numpy as np
 import pytest
+from harness.bags import JOINT_STATE, MS, parameter_event
 
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.messages import PARAMETER_EVENTS
-from hpid_ros.messages.writer import BagWriter, jazzy_types
+from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics.laws import read_retunes
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
-MS = 1_000_000
 WALL_NS = 1_700_000_000_000_000_000  # the recorder's clock, far from the states'
-
-
-def event(node, **changes):
-    """Return a serialised ParameterEvent with changed double or string parameters."""
-    types = jazzy_types()
-    time, parameter, value, message = (
-        types.types[name]
-        for name in (
-            "builtin_interfaces/msg/Time",
-            "rcl_interfaces/msg/Parameter",
-            "rcl_interfaces/msg/ParameterValue",
-            PARAMETER_EVENTS,
-        )
-    )
-    empty = {
-        "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
-        "byte_array_value": np.array([], np.uint8), "bool_array_value": np.array([], bool),
-        "integer_array_value": np.array([], np.int64),
-        "double_array_value": np.array([]), "string_array_value": [],
-    }  # fmt: skip
-    parameters = []
-    for name, content in changes.items():
-        kind = {"type": 3, "double_value": content}
-        if isinstance(content, str):
-            kind = {"type": 4, "string_value": content}
-        parameters.append(parameter(name=name.replace("__", "."), value=value(**empty | kind)))
-    built = message(
-        stamp=time(0, 0),
-        node=node,
-        new_parameters=[],
-        changed_parameters=parameters,
-        deleted_parameters=[],
-    )
-    return bytes(types.serialize_cdr(built, PARAMETER_EVENTS))
 
 
 @pytest.fixture
@@ -57,17 +21,19 @@ def bag(tmp_path):
         states = writer.add_topic("/joint_states", JOINT_STATE)
         commands = writer.add_topic("/joint_commands", JOINT_STATE)
         events = writer.add_topic("/parameter_events", PARAMETER_EVENTS)
-        writer.write(events, WALL_NS, event("/elbow_controller", mu=0.1))  # before any state
+        writer.write(
+            events, WALL_NS, parameter_event("/elbow_controller", mu=0.1)
+        )  # before any state
         for k in range(200):
             now = WALL_NS + 1 + k * MS
             writer.write(states, now, state.encode(k * MS, position=[0.01 * k]))
             writer.write(commands, now + 1, command.encode(k * MS, effort=[1.0 / (1 + k)]))
             if k == 50:
-                raw = event("/elbow_controller", mu=-0.2, gains__p=60.0)
+                raw = parameter_event("/elbow_controller", mu=-0.2, gains__p=60.0)
                 writer.write(events, now + 2, raw)
             if k == 120:
-                writer.write(events, now + 2, event("/elbow_controller", law="pid"))
-                writer.write(events, now + 3, event("/camera", exposure=3.0))
+                writer.write(events, now + 2, parameter_event("/elbow_controller", law="pid"))
+                writer.write(events, now + 3, parameter_event("/camera", exposure=3.0))
     return tmp_path / "run"
 
 
