@@ -238,17 +238,6 @@ def test_the_nodes_iteration_settles_as_fast_as_its_radius_says(drive):
         assert size < 1e-6
 
 
-@given(st.integers(2, 9), seeds)
-def test_any_robot_settles_with_a_filter_of_two_over_n(count, seed):
-    """The eigenvalues of D^-1 B are positive and their sum is n."""
-    root = np.random.default_rng(seed).normal(size=(count, count))
-    mass = root @ root.T + 1e-6 * np.eye(count)
-    mobility = np.linalg.inv(mass)
-    values = np.linalg.eigvals(np.diag(1.0 / np.diagonal(mobility)) @ mobility).real
-    assert sum(values) == pytest.approx(count, rel=1e-6)
-    assert np.abs(1.0 - 2.0 / count * values).max() <= 1.0 + 1e-9
-
-
 def test_uncoupled_joints_need_no_filter_and_coupling_is_reproducible():
     space = JointSpace(ROBOT, DRIVE)
     assert coupling(space, 30) == coupling(space, 30)

@@ -161,25 +161,3 @@ def test_the_robot_does_not_tip_with_the_payload_at_full_reach(turn: float):
         tilts = []
         hold(world, 1.0, lambda: tilts.append(tilt(world)))
         assert max(tilts) < 0.01
-
-
-def test_equal_wheel_torques_drive_straight_without_slip_and_opposite_ones_turn_on_the_spot():
-    def drive(left: float, right: float) -> tuple[tuple[float, float, float], float, float]:
-        with World(WorldSettings(URDF, JOINTS, initial_positions=HOME)) as world:
-            start = np.array(world.true_positions())
-            for _ in range(600):
-                error = start - world.true_positions()
-                efforts = STIFFNESS * error - DAMPING * world.true_velocities()
-                world.step([left, right, *efforts[2:]])
-            pose = world.base_pose()
-            yaw = 2.0 * math.atan2(pose.orientation[2], pose.orientation[3])
-            return pose.position, yaw, 0.075 * (world.true_positions()[0] - start[0])
-
-    (x, y, _), yaw, rolled = drive(0.6, 0.6)
-    assert x > 0.05
-    assert x == pytest.approx(rolled, rel=0.02)
-    assert abs(y) < 1e-3 * x
-    assert abs(yaw) < 1e-3
-    (x, y, _), yaw, _ = drive(-0.6, 0.6)
-    assert yaw > 0.3
-    assert math.hypot(x, y) < 0.01

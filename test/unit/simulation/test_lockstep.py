@@ -6,15 +6,6 @@ from hypothesis import strategies as st
 from hpid_ros.simulation.lockstep import Barrier
 
 
-def test_a_state_is_complete_when_every_joint_has_answered_its_stamp():
-    barrier = Barrier(["a", "b"])
-    barrier.begin(5)
-    assert not barrier.answer(5, ["a"], [1.0])
-    assert barrier.missing == ("b",)
-    assert barrier.answer(5, ["b"], [2.0])
-    assert barrier.finish() == [1.0, 2.0]
-
-
 def test_old_answers_and_foreign_joints_are_counted_and_change_nothing():
     barrier = Barrier(["a"])
     barrier.begin(5)

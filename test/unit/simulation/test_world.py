@@ -264,26 +264,21 @@ def test_the_velocity_of_the_base_is_given_in_its_own_frame():
         assert world.base_velocity().linear == pytest.approx(inverse @ velocity, abs=2e-3)
 
 
-def test_a_link_is_where_and_turned_as_kinematics_say():
+def test_a_link_is_where_and_turned_as_kinematics_say_at_rest_and_in_motion():
     arm = Kinematics(RobotDescription.load(URDF), "payload")
     with World(settings(fixed_base=True)) as world:
-        found = world.link_pose("payload")
-    wanted = arm.pose([HOME.get(joint, 0.0) for joint in arm.joints])
-    x, y, z, w = found.orientation
-    assert found.position == pytest.approx(wanted.position, abs=1e-6)
-    turn = pinocchio.Quaternion(w, x, y, z).matrix()
-    assert turn == pytest.approx(np.asarray(wanted.rotation), abs=1e-6)
-
-
-def test_a_link_of_a_robot_that_moves_is_where_its_joints_are_now():
-    arm = Kinematics(RobotDescription.load(URDF), "payload")
-    with World(settings(fixed_base=True)) as world:
-        for _ in range(50):
-            world.step([0.5] * len(world.settings.joints))
-        known = dict(zip(world.settings.joints, world.true_positions(), strict=True))
-        found = world.link_pose("payload")
-    wanted = arm.pose([known.get(joint, 0.0) for joint in arm.joints])
-    assert found.position == pytest.approx(wanted.position, abs=1e-6)
+        for steps in (0, 50):
+            for _ in range(steps):
+                world.step([0.5] * len(JOINTS))
+            known = dict(zip(JOINTS, world.true_positions(), strict=True))
+            wanted, found = (
+                arm.pose([known[joint] for joint in arm.joints]),
+                world.link_pose("payload"),
+            )
+            x, y, z, w = found.orientation
+            assert found.position == pytest.approx(wanted.position, abs=1e-6)
+            turn = pinocchio.Quaternion(w, x, y, z).matrix()
+            assert turn == pytest.approx(np.asarray(wanted.rotation), abs=1e-6)
 
 
 def test_a_robot_is_set_down_on_the_ground_wherever_its_root_is():
