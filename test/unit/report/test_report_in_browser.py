@@ -6,8 +6,9 @@ Needs Chromium (Debian: ``apt install chromium``) and playwright from PyPI; skip
 import numpy as np
 import pytest
 from harness.browser import launched
+from harness.runs import response
 
-from hpid_ros.messages.series import JointSeries, Retune, RunSeries
+from hpid_ros.messages.series import Retune
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.page import render_report
@@ -15,18 +16,6 @@ from hpid_ros.report.page import render_report
 pytestmark = pytest.mark.slow
 
 LATE = 20_000  # [ms]
-
-
-def response(label, damping):
-    t = np.linspace(0.0, 9.0, 901)
-    stamps = np.round(t * 1e9).astype(np.int64)
-    joints = []
-    for k, name in enumerate(("shoulder", "elbow")):
-        reference = np.full(t.size, 1.0 + k)
-        position = reference * (1.0 - np.exp(-damping * t) * np.cos(3 * t))
-        effort = 5 * (reference - position)
-        joints.append(JointSeries(name, stamps, position, reference, stamps, effort))
-    return RunSeries(label, tuple(joints), retunes=(Retune(4_000_000_000, "/c", "mu = 0.1"),))
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +26,11 @@ def browser():
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
-    runs = [response("PID", 0.6), response("hPID", 1.2)]
+    retunes = (Retune(4_000_000_000, "/c", "mu = 0.1"),)
+    runs = [
+        response(label, damping, samples=901, retunes=retunes)
+        for label, damping in (("PID", 0.6), ("hPID", 1.2))
+    ]
     comparison = Comparison(tuple(run_indices(run) for run in runs))
     parameters = {"hPID": {"elbow": {"mu": -0.1}, "shoulder": {"mu": -0.2}}}
     path = tmp_path_factory.mktemp("report") / "report.html"
