@@ -21,29 +21,14 @@ FOLDER = Path(__file__).parent / "plugin"
 PACKAGE = "arm_controller"
 MS = 1_000_000
 ELBOW = {
-    "joint": "elbow",
-    "gains__p": 39.6,
-    "gains__i": 132.0,
-    "gains__d": 3.96,
-    "mu": -0.1,
-    "norm__error_scale": 0.08,
-    "norm__rate_weight": 1.2,
-    "inertia": 0.1,
-    "u_clamp_max": 20.0,
-    "u_clamp_min": -20.0,
-    "fallback_effort": 0.25,
-    "position_max": 1.5,
-    "position_min": -1.5,
-    "velocity_max": 30.0,
+    **{"joint": "elbow", "gains__p": 39.6, "gains__i": 132.0, "gains__d": 3.96, "mu": -0.1},
+    **{"norm__error_scale": 0.08, "norm__rate_weight": 1.2, "inertia": 0.1},
+    **{"u_clamp_max": 20.0, "u_clamp_min": -20.0, "fallback_effort": 0.25},
+    **{"position_max": 1.5, "position_min": -1.5, "velocity_max": 30.0},
 }
 WRIST = {
-    "joint": "wrist",
-    "law": "pid",
-    "gains__p": 12.0,
-    "gains__i": 5.0,
-    "gains__d": 1.5,
-    "inertia": 0.05,
-    "velocity_source": "filtered",
+    **{"joint": "wrist", "law": "pid", "gains__p": 12.0, "gains__i": 5.0, "gains__d": 1.5},
+    **{"inertia": 0.05, "velocity_source": "filtered"},
 }
 LOOPS = [loop_settings(**ELBOW), loop_settings(**WRIST)]
 NO_STOPS = {"position_max": LARGEST_MOTION, "position_min": -LARGEST_MOTION}

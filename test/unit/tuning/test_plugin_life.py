@@ -117,13 +117,6 @@ def test_nothing_moves_where_the_computers_clock_is_set(active, step_ns):
         assert (found != pytest.approx(held, abs=1e-9)) is (k > 50)
 
 
-def test_what_is_no_number_gives_the_fallback(active):
-    cycle = Cycle(active)
-    cycle(5)
-    assert cycle(1, speed=math.nan)[0] == 0.25
-    assert cycle(1, by=math.inf) == [0.25, 0.0]
-
-
 def test_a_joint_that_begins_with_nonsense_is_held_where_its_first_state_has_it(active):
     rest = [(0.1, 0.0)] * 2
     for k, nonsense in enumerate((math.nan, 2e9)):
