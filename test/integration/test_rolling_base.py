@@ -154,9 +154,6 @@ def test_odometry_is_what_the_encoders_said(experiment_file, tmp_path):
 @pytest.mark.parametrize(
     ("base", "message"),
     [
-        ({}, "robot.base.left_wheel is missing"),
-        ("wheels", "robot.base must be a mapping"),
-        ({**BASE, "track": 1.0}, "unknown key 'robot.base.track'"),
         ({**BASE, "wheel_radius": -1.0}, "robot.base.wheel_radius must be above 0"),
         ({**BASE, "left_wheel": "wheel"}, "robot.base: unknown joint 'wheel'"),
         ({**BASE, "left_wheel": WHEELS[1], "right_wheel": WHEELS[0]}, "left and right of"),
