@@ -1,12 +1,19 @@
-"""Studies of two short experiments, as a user runs them; waiting for what a process does."""
+"""Comparisons and studies, as a user runs them; waiting for what a process does."""
 
 import json
 import threading
 import time
 
+from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.main import main
 
 ARM = ["arm_joint_1", "arm_joint_2", "arm_joint_3"]
+
+
+def compared(file, folder, *options):
+    """Run ``hpid compare`` in this process, and return the folder of its result."""
+    assert main(["compare", str(file), "--in-process", "-o", str(folder), *options]) == DONE
+    return folder
 
 
 def study(files, folder, *options, seeds=2):

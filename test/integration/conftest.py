@@ -1,4 +1,4 @@
-"""Fixtures of sweeps and studies: short experiments, and which runs are made of them."""
+"""Fixtures: the command, short experiments, and which runs are made of sweeps and studies."""
 
 import shutil
 from contextlib import contextmanager
@@ -8,10 +8,36 @@ import pytest
 from harness.experiments import write_experiment
 from harness.studies import ARM, study
 
-from hpid_ros.cli.commands import DONE
+from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.main import main
 from hpid_ros.experiment import batch
 from hpid_ros.experiment.batch import run_batch, simulated
 from hpid_ros.experiment.description import load_experiment
+
+
+@pytest.fixture
+def hpid(capsys):
+    """Return a function that runs ``hpid`` in this process: exit code, output and errors."""
+
+    def run(*arguments):
+        capsys.readouterr()
+        code = main([*map(str, arguments)])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def refused(hpid):
+    """Return a function that runs ``hpid`` on what is wrong, and gives the one line it says."""
+
+    def run(*arguments):
+        code, printed, errors = hpid(*arguments)
+        assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+        assert errors.startswith("hpid: ")
+        return errors
+
+    return run
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Small files that would fill memory, run for ever or crash: each ends in one line."""
 
-from __future__ import annotations
-
 import os
 import resource
 import socket
@@ -50,19 +48,10 @@ def packed_zeros(compression: str, mebibytes: int) -> bytes:
     return compress(bytes(MIB)) * mebibytes  # one frame after the other
 
 
-def one_line(capsys, *arguments: object) -> str:
-    """Return the line with which a command refuses its input."""
-    capsys.readouterr()
-    assert main([str(each) for each in arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("hpid: ")
-    return line
-
-
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("declared", [1000, 1024 * MIB, 2**63])
 def test_a_chunk_unpacks_to_what_it_declares_within_the_limit(
-    tmp_path, capsys, monkeypatch, compression, declared
+    tmp_path, refused, monkeypatch, compression, declared
 ):
     monkeypatch.setenv(LIMIT_VARIABLE, str(MIB))
     packed = packed_zeros(compression, 1024)
@@ -75,33 +64,31 @@ def test_a_chunk_unpacks_to_what_it_declares_within_the_limit(
         f"{LIMIT_VARIABLE} (now {MIB} bytes) allows more"
     )
     for verb in ("metrics", "repair"):
-        assert reason in one_line(capsys, verb, path)
+        assert reason in refused(verb, path)
 
 
-def test_many_chunks_share_one_allowance(tmp_path, capsys, monkeypatch):
+def test_many_chunks_share_one_allowance(tmp_path, refused, monkeypatch):
     monkeypatch.setenv(LIMIT_VARIABLE, str(4 * MIB))
     bomb = chunk(b"zstd", packed_zeros("zstd", 3), 3 * MIB)
     path = mcap_of(tmp_path / "bag.mcap", *[bomb] * 1000)
-    line = one_line(capsys, "metrics", path)
+    line = refused("metrics", path)
     assert line.count("would unpack to more than") < 60
     assert "further lines like these" in line
 
 
-def test_a_file_unpacks_within_the_limit(tmp_path, capsys, monkeypatch):
+def test_a_file_unpacks_within_the_limit(tmp_path, refused, monkeypatch):
     monkeypatch.setenv(LIMIT_VARIABLE, str(MIB))
     path = tmp_path / "bag.mcap.zstd"
     path.write_bytes(packed_zeros("zstd", 1024))
     for verb in ("metrics", "repair"):
-        line = one_line(capsys, verb, path)
+        line = refused(verb, path)
         assert "would unpack to more than" in line
     write_mcap(tmp_path / "good.mcap", small_log(), compression=CompressionType.NONE)
     good = tmp_path / "good.mcap.zstd"
     good.write_bytes(zstd.compress((tmp_path / "good.mcap").read_bytes()))
     assert main(["metrics", str(good)]) == 0
     monkeypatch.setenv(LIMIT_VARIABLE, "a lot")
-    assert f"{LIMIT_VARIABLE} must be a number of bytes, not 'a lot'" in one_line(
-        capsys, "metrics", good
-    )
+    assert f"{LIMIT_VARIABLE} must be a number of bytes, not 'a lot'" in refused("metrics", good)
 
 
 def test_a_message_unpacks_within_the_limit(tmp_path, monkeypatch):
@@ -135,7 +122,7 @@ def test_the_default_limit_bounds_the_memory_of_a_process(tmp_path, name):
     assert len(run.stderr.splitlines()) == 1
 
 
-def test_what_is_no_file_is_no_bag(tmp_path, capsys, monkeypatch):
+def test_what_is_no_file_is_no_bag(tmp_path, refused, monkeypatch):
     os.mkfifo(tmp_path / "fifo.mcap")
     os.mkfifo(tmp_path / "fifo.db3")
     (tmp_path / "null.mcap").symlink_to("/dev/zero")
@@ -145,11 +132,11 @@ def test_what_is_no_file_is_no_bag(tmp_path, capsys, monkeypatch):
     kinds = {"fifo.mcap": "FIFO", "fifo.db3": "FIFO", "null.mcap": "device"}
     for name, kind in {**kinds, "socket.db3": "socket"}.items():
         for verb in ("metrics", "repair"):
-            line = one_line(capsys, verb, tmp_path / name)
+            line = refused(verb, tmp_path / name)
             assert f"{name}: it is a {kind}, not a file" in line
     (tmp_path / "bag" / "inner.mcap").mkdir(parents=True)
     os.mkfifo(tmp_path / "bag" / "metadata.yaml")
-    line = one_line(capsys, "metrics", tmp_path / "bag")
+    line = refused("metrics", tmp_path / "bag")
     assert "inner.mcap: it is a folder, not a file" in line
 
 
@@ -176,14 +163,14 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("kind", TEXTS)
-def test_a_yaml_file_is_a_document_or_one_line(tmp_path, capsys, kind):
+def test_a_yaml_file_is_a_document_or_one_line(tmp_path, refused, kind):
     text, reason = TEXTS[kind]
     path = tmp_path / "file.yaml"
     path.write_text(text)
     with pytest.raises(ExperimentError, match="cannot read") as refusal:
         load_yaml(path, ExperimentError)
     assert reason in str(refusal.value)
-    assert reason in one_line(capsys, "compare", path)
+    assert reason in refused("compare", path)
     bag = write_bag(tmp_path / "bag", small_log())
     (bag / "metadata.yaml").write_text(text)
     (line,) = read_run(bag, "run").quality.unreadable
@@ -192,19 +179,19 @@ def test_a_yaml_file_is_a_document_or_one_line(tmp_path, capsys, kind):
 
 
 @pytest.mark.parametrize("kind", ["brackets", "laughs", "itself", "digits", "objects"])
-def test_controllers_that_a_bag_holds_are_a_document_or_one_line(tmp_path, capsys, kind):
+def test_controllers_that_a_bag_holds_are_a_document_or_one_line(tmp_path, refused, kind):
     text, reason = TEXTS[kind]
     path = tmp_path / "bag"
     with BagWriter(path, metadata={PARAMETERS: text}) as writer:
         for name in ("joint_states", "joint_commands"):
             writer.add_topic(name, "sensor_msgs/msg/JointState")
-    line = one_line(capsys, "replay", path)
+    line = refused("replay", path)
     assert PARAMETERS in line
     assert reason in line
 
 
-def test_a_device_in_place_of_a_file_is_one_line(capsys):
-    assert "it has more than 16777216 bytes" in one_line(capsys, "compare", "/dev/zero")
+def test_a_device_in_place_of_a_file_is_one_line(refused):
+    assert "it has more than 16777216 bytes" in refused("compare", "/dev/zero")
 
 
 def test_aliases_that_people_write_are_read(tmp_path):
@@ -214,7 +201,7 @@ def test_aliases_that_people_write_are_read(tmp_path):
     assert load_yaml(path, ExperimentError) == expected
 
 
-def test_saved_numbers_of_a_hundred_thousand_brackets_are_one_line(tmp_path, capsys):
+def test_saved_numbers_of_a_hundred_thousand_brackets_are_one_line(tmp_path, refused):
     path = tmp_path / "saved.json"
     path.write_text("[" * 100_000)
-    assert f"{path} is no JSON" in one_line(capsys, "metrics", path)
+    assert f"{path} is no JSON" in refused("metrics", path)

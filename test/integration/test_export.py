@@ -70,14 +70,13 @@ def test_the_firmware_of_the_documentation_compiles(controllers, tmp_path):
     compile_c(tmp_path, ["firmware.c"], "-c", output="firmware.o")
 
 
-def test_files_in_the_way_are_replaced_only_when_asked(controllers, tmp_path, capsys):
+def test_files_in_the_way_are_replaced_only_when_asked(controllers, tmp_path, refused):
     folder = tmp_path / "firmware"
     folder.mkdir()
     (folder / "main.c").write_text("mine")
     (folder / "hpid_wrist.c").write_text("mine, too")
     arguments = ["export", "--c", str(controllers()), "-o", str(folder)]
-    assert main(arguments) == BAD_INPUT
-    assert "hpid_wrist.c exists" in capsys.readouterr().err
+    assert "hpid_wrist.c exists" in refused(*arguments)
     assert not (folder / "hpid_elbow.c").exists()
     assert main([*arguments, "--joint", "elbow"]) == DONE
     assert main([*arguments, "--force", "--precision", "single"]) == DONE
@@ -85,13 +84,12 @@ def test_files_in_the_way_are_replaced_only_when_asked(controllers, tmp_path, ca
     assert "_SINGLE 1" in (folder / "hpid_wrist.h").read_text()
 
 
-def test_of_an_experiment_one_controller_is_exported(experiment_file, tmp_path, capsys):
+def test_of_an_experiment_one_controller_is_exported(experiment_file, tmp_path, refused):
     command = ["export", "--c", str(experiment_file()), "--joint", "arm_joint_1", "-o"]
     for named, law in ((["--controller", "PID"], "PID"), ([], "HPID")):
         assert main([*command, str(tmp_path / law), *named]) == DONE
         assert f"_LAW_{law}," in (tmp_path / law / "hpid_arm_joint_1.c").read_text()
-    assert main([*command, str(tmp_path / "x"), "--controller", "X"]) == BAD_INPUT
-    assert "unknown controller 'X'" in capsys.readouterr().err
+    assert "unknown controller 'X'" in refused(*command, tmp_path / "x", "--controller", "X")
 
 
 @pytest.mark.parametrize(
@@ -105,58 +103,50 @@ def test_of_an_experiment_one_controller_is_exported(experiment_file, tmp_path, 
     ],
 )
 def test_what_cannot_be_exported_is_one_line_and_no_file(
-    controllers, tmp_path, capsys, wrist, more, line
+    controllers, tmp_path, refused, wrist, more, line
 ):
     folder = tmp_path / "firmware"
-    file = str(controllers(**wrist))
-    assert main(["export", "--c", file, "-o", str(folder), *more]) == BAD_INPUT
-    (text,) = capsys.readouterr().err.strip().splitlines()
-    assert line in text
+    assert line in refused("export", "--c", controllers(**wrist), "-o", folder, *more)
     assert not folder.exists()
 
 
-def test_a_missing_file_and_a_folder_that_is_none_are_refused(controllers, tmp_path, capsys):
-    file = controllers()
-    for source, folder, words in (
-        (tmp_path / "no.yaml", tmp_path, "no.yaml: no such file"),
-        (file, file, "is no folder"),
-    ):
-        assert main(["export", "--c", str(source), "-o", str(folder)]) == BAD_INPUT
-        assert words in capsys.readouterr().err
+def test_a_missing_file_and_a_folder_that_is_none_are_refused(controllers, tmp_path, refused):
+    none, file = tmp_path / "no.yaml", controllers()
+    assert "no.yaml: no such file" in refused("export", "--c", none, "-o", tmp_path)
+    assert "is no folder" in refused("export", "--c", file, "-o", file)
 
 
 PID = {"law": "pid", "mu": 0.0}
 
 
-def test_all_joints_become_a_package_for_ros2_control(controllers, tmp_path, capsys):
+def test_all_joints_become_a_package_for_ros2_control(controllers, tmp_path, hpid, refused):
     folder = tmp_path / "arm_controller"
     file = str(controllers(**PID))
     arguments = ["export", file, "--ros2-control", "-o", str(folder), "--joint", "wrist"]
-    assert main(arguments) == DONE
-    output = capsys.readouterr().out
+    code, output, _ = hpid(*arguments)
+    assert code == DONE
     assert "wrist: mu -0.100 to +0.100; at its own each gain by 1/1.5 to 1.5" in output
     loop = (folder / "src" / "arm_controller_loop.c").read_text()
     assert "arm_controller_loop_step" in loop
     assert "controllers.yaml" in (folder / "README.md").read_text()
     parameters = yaml.safe_load((folder / "config" / "joints.yaml").read_text())
     assert parameters["/**/wrist_controller"]["ros__parameters"]["gains"] == GAINS["gains"]
-    assert main(arguments) == BAD_INPUT
-    assert "package.xml exists" in capsys.readouterr().err
-    assert main(["check-gains", str(folder / "config" / "certificates.json")]) == DONE
-    (line,) = capsys.readouterr().out.splitlines()  # not one for each corner
+    assert "package.xml exists" in refused(*arguments)
+    code, line, _ = hpid("check-gains", folder / "config" / "certificates.json")
+    assert (code, line.count("\n")) == (DONE, 1)  # not one for each corner
     assert re.match(r"wrist: all \d+ hold, mu -0.1\d* to \+0.1\d*, least rate 0.", line)
 
 
 def test_a_file_of_ones_own_in_the_folder_of_a_package_is_not_replaced(
-    controllers, tmp_path, capsys
+    controllers, tmp_path, hpid
 ):
     folder = tmp_path / "arm_controller"
     folder.mkdir()
     (folder / "README.md").write_text("mine")
     file = str(controllers(**PID))
     arguments = ["export", file, "--ros2-control", "-o", str(folder), "--joint", "wrist"]
-    assert main(arguments) == BAD_INPUT
-    assert "README.md exists" in capsys.readouterr().err
+    code, _, errors = hpid(*arguments)
+    assert (code, "README.md exists" in errors) == (BAD_INPUT, True)
     assert [(each.name, each.read_text()) for each in folder.iterdir()] == [("README.md", "mine")]
 
 
@@ -214,15 +204,13 @@ def test_limits_of_the_robot_are_exported(controllers, urdf, tmp_path):
 
 
 def test_limits_that_a_file_leaves_to_its_robot_are_not_lost_without_a_word(
-    controllers, tmp_path, capsys
+    controllers, tmp_path, refused
 ):
-    file = controllers(robot_description="package://arm/arm.urdf")
-    assert main(["export", "--c", str(file), "-o", str(tmp_path / "firmware")]) == BAD_INPUT
-    assert "name the robot's URDF with --urdf" in capsys.readouterr().err
-    assert not (tmp_path / "firmware").exists()
+    file, folder = controllers(robot_description="package://arm/arm.urdf"), tmp_path / "firmware"
+    assert "the robot's URDF with --urdf" in refused("export", "--c", file, "-o", folder)
+    assert not folder.exists()
 
 
-def test_a_folder_that_is_no_package_is_refused(controllers, tmp_path, capsys):
-    arguments = ["export", str(controllers()), "--ros2-control", "-o", str(tmp_path / "My-Arm")]
-    assert main(arguments) == BAD_INPUT
-    assert "'My-Arm' cannot be the name of a package" in capsys.readouterr().err
+def test_a_folder_that_is_no_package_is_refused(controllers, tmp_path, refused):
+    line = refused("export", controllers(), "--ros2-control", "-o", tmp_path / "My-Arm")
+    assert "'My-Arm' cannot be the name of a package" in line

@@ -1,7 +1,5 @@
 """Robots that nobody of this package designed: the KUKA iiwa and the Franka Panda of PyBullet."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import logging

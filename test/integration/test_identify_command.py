@@ -59,18 +59,10 @@ def bag(tmp_path_factory):
     return write(tmp_path_factory.mktemp("identify") / "bag")
 
 
-def identify(capsys, *arguments):
-    """Return exit code, output and errors."""
-    capsys.readouterr()
-    code = main(["identify", *map(str, arguments)])
-    told = capsys.readouterr()
-    return code, told.out, told.err
-
-
 @pytest.mark.parametrize("effort_in_states", [False, True])
-def test_a_bag_gives_numbers_and_a_still_joint_a_reason(tmp_path, capsys, effort_in_states):
+def test_a_bag_gives_numbers_and_a_still_joint_a_reason(tmp_path, hpid, effort_in_states):
     bag = write(tmp_path / "bag", effort_in_states=effort_in_states)
-    code, out, _ = identify(capsys, bag, "--json", tmp_path / "found.json")
+    code, out, _ = hpid("identify", bag, "--json", tmp_path / "found.json")
     assert code == 0
     source = "measured, of /joint_states" if effort_in_states else "/joint_commands"
     assert f"efforts: {source}" in out
@@ -79,7 +71,7 @@ def test_a_bag_gives_numbers_and_a_still_joint_a_reason(tmp_path, capsys, effort
     moving, still = (document[name] for name in JOINTS)
     assert still["estimates"] == {}
     assert still["not_told"]
-    assert identify(capsys, bag, "--joint", JOINTS[1])[0] == 1
+    assert hpid("identify", bag, "--joint", JOINTS[1])[0] == 1
     for name in ("inertia", "viscous", "coulomb", "offset"):
         each = moving["estimates"][name]
         assert each["value"] == pytest.approx(getattr(PLANT, name), rel=0.02)
@@ -89,10 +81,10 @@ def test_a_bag_gives_numbers_and_a_still_joint_a_reason(tmp_path, capsys, effort
     assert moving["estimates"]["inertia"]["unit"] == "kg m^2"
 
 
-def test_what_its_recording_lacks_is_told_with_the_numbers(bag, tmp_path, capsys):
+def test_what_its_recording_lacks_is_told_with_the_numbers(bag, tmp_path, hpid):
     lacking = write(tmp_path / "bag", lost=7, missed=range(0, 5000, 50))
     files = ["--json", tmp_path / "found.json", "-o", tmp_path / "found.yaml"]
-    code, out, _ = identify(capsys, lacking, *files)
+    code, out, _ = hpid("identify", lacking, *files)
     line = "the recorder missed 7 messages on /joint_states"
     assert code == 0
     assert line in out
@@ -100,22 +92,22 @@ def test_what_its_recording_lacks_is_told_with_the_numbers(bag, tmp_path, capsys
     assert f"# Not whole: {line}.\n" in (tmp_path / "found.yaml").read_text()
     unanswered = "states have no command of their own"
     assert f"100 of 5000 {unanswered}" in " ".join(out.split())
-    assert unanswered not in " ".join(identify(capsys, bag)[1].split())
+    assert unanswered not in " ".join(hpid("identify", bag)[1].split())
 
 
-def test_runs_after_a_reset_of_the_clock_are_all_used(tmp_path, capsys):
+def test_runs_after_a_reset_of_the_clock_are_all_used(tmp_path, hpid):
     one, three = tmp_path / "1.json", tmp_path / "3.json"
-    identify(capsys, write(tmp_path / "one"), "--json", one)
-    code, _, _ = identify(capsys, write(tmp_path / "three", runs=3), "--json", three)
+    hpid("identify", write(tmp_path / "one"), "--json", one)
+    code, _, _ = hpid("identify", write(tmp_path / "three", runs=3), "--json", three)
     assert code == 0
     first, all_ = (json.loads(each.read_text())["joints"][JOINTS[0]] for each in (one, three))
     assert all_["time"] > 2.5 * first["time"]
     assert all_["estimates"]["inertia"]["value"] == pytest.approx(PLANT.inertia, rel=0.02)
 
 
-def test_what_is_written_is_taken_by_other_commands(bag, tmp_path, capsys):
+def test_what_is_written_is_taken_by_other_commands(bag, tmp_path, hpid):
     found, pid, upgraded = (tmp_path / name for name in ("found.yaml", "pid.yaml", "up.yaml"))
-    code, out, _ = identify(capsys, bag, "--urdf", URDF, "-o", found)
+    code, out, _ = hpid("identify", bag, "--urdf", URDF, "-o", found)
     assert code == 0
     assert f"written: {found}" in out
     document = yaml.safe_load(found.read_text())
@@ -140,19 +132,19 @@ def test_what_is_written_is_taken_by_other_commands(bag, tmp_path, capsys):
     assert upgraded.is_file()
 
 
-def test_an_experiment_is_amended_by_what_was_found(bag, tmp_path, capsys):
+def test_an_experiment_is_amended_by_what_was_found(bag, tmp_path, hpid):
     found = tmp_path / "identified.yaml"
     paper = share_folder() / "config" / "experiments" / "paper.yaml"
-    assert identify(capsys, bag, "--urdf", paper, "-o", found)[0] == 0
+    assert hpid("identify", bag, "--urdf", paper, "-o", found)[0] == 0
     experiment = load_experiment(found)
     own = yaml.safe_load(found.read_text())["controllers"]["joints"]["arm_joint_4"]["inertia"]
     loops = {each.joint: each for each in experiment.controllers["PID"]}
     assert loops["arm_joint_4"].inertia == own
 
 
-def test_without_a_robot_the_inertia_alone_is_taken(bag, tmp_path, capsys):
+def test_without_a_robot_the_inertia_alone_is_taken(bag, tmp_path, hpid):
     found = tmp_path / "identified.yaml"
-    assert identify(capsys, bag, "-o", found)[0] == 0
+    assert hpid("identify", bag, "-o", found)[0] == 0
     document = yaml.safe_load(found.read_text())
     assert "rotor_inertia" not in document["robot"]["joints"]["arm_joint_4"]
     own = document["controllers"]["joints"]["arm_joint_4"]["inertia"]
@@ -160,14 +152,13 @@ def test_without_a_robot_the_inertia_alone_is_taken(bag, tmp_path, capsys):
     assert main(["check-gains", "--p", "1", "--i", "1", "--d", "1", "--inertia", str(URDF)]) == 2
 
 
-def test_nothing_that_is_there_is_replaced_and_a_picture_is_drawn(bag, tmp_path, capsys):
+def test_nothing_that_is_there_is_replaced_and_a_picture_is_drawn(bag, tmp_path, hpid, refused):
     there = tmp_path / "there.png"
     there.write_text("mine")
     for option in ("-o", "--json", "--plot"):
-        code, _, err = identify(capsys, bag, option, there)
-        assert (code, "exists" in err) == (2, True)
+        assert "exists" in refused("identify", bag, option, there)
     assert there.read_text() == "mine"
-    assert identify(capsys, bag, "--plot", there, "--force")[0] == 0
+    assert hpid("identify", bag, "--plot", there, "--force")[0] == 0
     assert there.read_bytes().startswith(b"\x89PNG")
 
 
@@ -183,11 +174,8 @@ def test_nothing_that_is_there_is_replaced_and_a_picture_is_drawn(bag, tmp_path,
         (["-o", "same", "--json", "same"], "different files"),
     ],
 )
-def test_bad_input_is_one_line(bag, capsys, options, told):
-    code, out, err = identify(capsys, bag, *options)
-    assert (code, out) == (2, "")
-    assert told in err
-    assert len(err.splitlines()) == 1
+def test_bad_input_is_one_line(bag, refused, options, told):
+    assert told in refused("identify", bag, *options)
 
 
 def write_wheels(path, rolled):
@@ -216,12 +204,10 @@ def write_wheels(path, rolled):
         (0.0, False, ""),
     ],
 )
-def test_wheels_are_told_only_where_the_robot_does_not_roll(
-    rolled, asked, reason, tmp_path, capsys
-):
+def test_wheels_are_told_only_where_the_robot_does_not_roll(rolled, asked, reason, tmp_path, hpid):
     bag, file = write_wheels(tmp_path / "bag", rolled), tmp_path / "found.json"
     options = ("--joint", "left_wheel_joint") if asked else ()
-    code, out, _ = identify(capsys, bag, *options, "--json", file)
+    code, out, _ = hpid("identify", bag, *options, "--json", file)
     found = json.loads(file.read_text())["joints"]["left_wheel_joint"]
     if reason:
         assert code == 1

@@ -9,19 +9,16 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 import yaml
-from harness.bags import (
-    JOINT_STATE,
-    MS,
-    TYPES,
-    write_bag,
-)
+from harness.bags import FLOATS, JOINT_STATE, MS, floats, write_bag
+from harness.experiments import write_experiment
+from harness.studies import compared
 
 from hpid_ros.cli.commands import BAD_INPUT, DONE
-from hpid_ros.cli.main import main
 from hpid_ros.experiment.result_folder import MARKER
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.writer import BagWriter
@@ -31,32 +28,13 @@ from hpid_ros.messages.writer import BagWriter
 def result(tmp_path_factory):
     """Return the folder of a short comparison."""
     folder = tmp_path_factory.mktemp("metrics")
-    file = folder / "short.yaml"
-    file.write_text(
-        "extends: config/experiments/tracking.yaml\nname: short\nduration: 0.3\n"
-        "simulation: {engine: mujoco, physics_steps: 2}\n"
-    )
-    options = ["--in-process", "-o", str(folder / "result")]
-    assert main(["compare", str(file), *options]) == DONE
-    return folder / "result"
+    return compared(write_experiment(folder), folder / "result")
 
 
 @pytest.fixture
-def run(capsys):
+def run(hpid):
     """Return a function that runs the command and gives its streams."""
-
-    def metrics(*arguments):
-        capsys.readouterr()
-        code = main(["metrics", *map(str, arguments)])
-        return code, *capsys.readouterr()
-
-    return metrics
-
-
-def floats(*values):
-    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
-    kind = "std_msgs/msg/Float64MultiArray"
-    return bytes(TYPES.serialize_cdr(TYPES.types[kind](layout, np.array(values)), kind))
+    return partial(hpid, "metrics")
 
 
 def saved_indices(result):
@@ -158,16 +136,15 @@ def test_a_bag_of_states_alone_gives_its_effort_indices_and_one_line_for_the_res
     assert run(saved, "--csv")[1] == run(bag, "--csv")[1]
 
 
-def test_a_bag_that_gives_no_index_is_one_line_that_names_all_options(run, tmp_path):
+def test_a_bag_that_gives_no_index_is_one_line_that_names_all_options(run, refused, tmp_path):
     bag = write_bag(tmp_path / "states", states_bag(tmp_path, effort=False))
-    code, printed, errors = run(bag)
-    assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+    errors = refused("metrics", bag)
     for words in ("no effort was recorded: --commands", "no reference was recorded: --reference"):
         assert words in errors
     assert run(bag, "--indices", "itae", "--reference", "hold")[0] == DONE
 
 
-def test_a_reference_is_held_or_given_only_if_asked_for_and_then_it_is_said(run, tmp_path):
+def test_a_reference_is_held_or_given_if_asked_for_and_then_it_is_said(run, refused, tmp_path):
     bag = write_bag(tmp_path / "states", states_bag(tmp_path))
     said = "reference: the first position, held as asked for"
     page = tmp_path / "report.html"
@@ -188,21 +165,18 @@ def test_a_reference_is_held_or_given_only_if_asked_for_and_then_it_is_said(run,
     assert given["joints"]["elbow"]["itae"] == pytest.approx(expected, rel=1e-9)
     assert "reference" not in given["assumed"]
     for bad in (tmp_path / "none.yaml", "nowhere"):
-        code, printed, errors = run(bag, "--reference", bad)
-        assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+        refused("metrics", bag, "--reference", bad)
 
 
-def test_commands_that_may_be_positions_are_efforts_only_if_that_is_said(run, tmp_path):
+def test_commands_that_may_be_positions_are_efforts_only_if_that_is_said(run, refused, tmp_path):
     path = tmp_path / "bag"
     with BagWriter(path) as bag:
         states = bag.add_topic("/joint_states", JOINT_STATE)
-        commands = bag.add_topic("/elbow_controller/commands", "std_msgs/msg/Float64MultiArray")
+        commands = bag.add_topic("/elbow_controller/commands", FLOATS)
         for _, log_time_ns, raw in states_bag(path, effort=False):
             bag.write(states, log_time_ns, raw)
             bag.write(commands, log_time_ns + 1, floats(1.0, 3.0))
-    code, printed, errors = run(path)
-    assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
-    assert "/elbow_controller/commands may carry them" in errors
+    assert "/elbow_controller/commands may carry them" in refused("metrics", path)
     document = json.loads(run(path, "--commands", "effort", "--json")[1])["runs"]["bag"]
     assert document["joints"]["elbow"]["iavc"] == pytest.approx(399 * 0.005)
     mapped = json.loads(
@@ -278,13 +252,13 @@ def test_saved_numbers_alone_draw_the_trade_off_and_say_what_is_missing(run, res
     assert "only runs from bags are drawn" in errors
 
 
-def test_nothing_is_replaced_unless_forced_and_figures_only_figures_of_ours(run, result, tmp_path):
+def test_nothing_is_replaced_unless_forced_and_figures_only_figures_of_ours(
+    run, refused, result, tmp_path
+):
     target, folder = tmp_path / "mine.json", tmp_path / "figures"
     target.write_text("mine")
-    code, printed, errors = run(result, "--save", target)
-    assert (code, printed, target.read_text()) == (BAD_INPUT, "", "mine")
-    named = f"hpid: {target} exists; name another with --save or replace it with --force\n"
-    assert errors == named
+    assert f"{target} exists" in refused("metrics", result, "--save", target)
+    assert target.read_text() == "mine"
     assert run(result, "--save", target, "--force")[0] == DONE
     assert json.loads(target.read_text())["indices"] == saved_indices(result)
     command = (result / "result.json", "--figures", folder, "--formats", "png")
@@ -297,12 +271,11 @@ def test_nothing_is_replaced_unless_forced_and_figures_only_figures_of_ours(run,
 
 @pytest.mark.parametrize("option", ["--save", "--report"])
 @pytest.mark.parametrize("inside", [".", "result.json", "bags/PID/metadata.yaml"])
-def test_what_is_read_is_never_replaced(run, result, option, inside):
+def test_what_is_read_is_never_replaced(refused, result, option, inside):
     target = result / inside
     source = target if target.suffix == ".json" else result / "bags" / "PID"
     before = target.is_file() and target.read_bytes()
-    code, printed, errors = run(source, option, target, "--force")
-    assert (code, printed, len(errors.splitlines())) == (BAD_INPUT, "", 1)
+    refused("metrics", source, option, target, "--force")
     assert (target.is_file() and target.read_bytes()) == before
 
 
@@ -331,19 +304,13 @@ def test_what_is_read_is_never_replaced(run, result, option, inside):
         (["RESULT", "--clock", "sundial"], "unknown clock 'sundial'"),
     ],
 )
-def test_bad_input_is_one_line_and_nothing_is_printed(run, result, arguments, words):
+def test_bad_input_is_one_line_and_nothing_is_printed(refused, result, arguments, words):
     places = {"RESULT": result, "SAVED": result / "result.json"}
-    code, printed, errors = run(*(places.get(each, each) for each in arguments))
-    assert (code, printed) == (BAD_INPUT, "")
-    assert errors.count("\n") == 1
-    assert errors.startswith("hpid: ")
-    assert words in errors
+    assert words in refused("metrics", *(places.get(each, each) for each in arguments))
 
 
 @pytest.mark.parametrize("content", ["", "{", "[1, 2]", '{"runs": 3}', '{"runs": {"a": {}}}'])
-def test_a_file_without_numbers_is_one_line(run, tmp_path, content):
+def test_a_file_without_numbers_is_one_line(refused, tmp_path, content):
     file = tmp_path / "saved.json"
     file.write_text(content)
-    code, printed, errors = run(file)
-    assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
-    assert str(file) in errors
+    assert str(file) in refused("metrics", file)

@@ -4,6 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
+from harness.studies import compared
 from PIL import Image
 
 from hpid_ros.base.errors import LibraryError
@@ -35,9 +36,7 @@ def result(tmp_path_factory):
         "extends: config/experiments/paper.yaml\nname: short\nduration: 0.3\n"
         "simulation: {engine: mujoco, physics_steps: 1}\n"
     )
-    options = ["--in-process", "-o", str(folder / "result")]
-    assert main(["compare", str(file), *options]) == 0
-    return folder / "result"
+    return compared(file, folder / "result")
 
 
 @pytest.fixture
@@ -97,7 +96,7 @@ def test_the_robot_is_where_it_was_and_the_double_where_it_was_to_be(result):
     assert greens[2] < greens[0] / 2
 
 
-def test_no_wish_that_cannot_be_met_writes_anything(own, capsys):
+def test_no_wish_that_cannot_be_met_writes_anything(own, refused):
     before = sorted(own.rglob("*"))
     (own.parent / "there.gif").write_text("mine")
     for options, line in (
@@ -116,27 +115,21 @@ def test_no_wish_that_cannot_be_met_writes_anything(own, capsys):
         (["-o", "arm.mp4"], "must be one of .webp, .gif, .png, not '.mp4'"),
         (["-o", str(own.parent / "there.gif")], "exists; name another with -o"),
     ):
-        assert main(["render", str(own), *options]) == 2, options
-        error = capsys.readouterr().err
-        assert line in error
-        assert error.count("\n") == 1
+        assert line in refused("render", own, *options)
     assert sorted(own.rglob("*")) == before
     assert (own.parent / "there.gif").read_text() == "mine"
 
 
-def test_what_is_no_result_with_recordings_is_one_line(own, tmp_path, capsys):
-    assert main(["render", str(tmp_path)]) == 2
-    assert "is no result folder: it has no result.json" in capsys.readouterr().err
+def test_what_is_no_result_with_recordings_is_one_line(own, tmp_path, refused):
+    assert "is no result folder: it has no result.json" in refused("render", tmp_path)
     shutil.rmtree(own / "bags")
-    assert main(["render", str(own)]) == 2
-    assert "has no recordings any more" in capsys.readouterr().err
+    assert "has no recordings any more" in refused("render", own)
 
 
 def test_a_comparison_can_be_animated_at_once(experiment_file, tmp_path):
     require_renderer()
     folder = tmp_path / "result"
-    options = ["--in-process", "--animation", "-o", str(folder)]
-    assert main(["compare", str(experiment_file(duration=0.05)), *options]) == 0
+    compared(experiment_file(duration=0.05), folder, "--animation")
     assert len(list(frames(folder / "animation.webp"))) == 1
     assert "data:image/webp" in (folder / "report.html").read_text()
     assert '"finished"' in (folder / "hpid_result.json").read_text()

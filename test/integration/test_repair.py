@@ -6,13 +6,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import pytest
 from harness.bag_reader import BagReader
 from harness.graph import ros_arguments
+from harness.studies import wait_until
 from mcap.reader import make_reader
 
 from hpid_ros.base.errors import BagError
@@ -106,15 +105,17 @@ def test_a_cut_or_bit_flipped_bag_loses_the_damaged_part_and_invents_nothing(
     assert bool(line) != (tmp_path / "repaired").exists()
 
 
-def test_the_command_says_what_was_saved_and_lost_and_keeps_the_old_bag(whole, tmp_path, capsys):
+def test_the_command_says_what_was_saved_and_lost_and_keeps_the_old_bag(
+    whole, tmp_path, hpid, refused
+):
     path, messages = whole
     bag = tmp_path / "bag"
     shutil.copytree(path, bag)
     mcap_of(bag).write_bytes(mcap_of(bag).read_bytes()[: mcap_of(bag).stat().st_size * 3 // 5])
     (bag / "metadata.yaml").unlink()
     before = mcap_of(bag).read_bytes()
-    assert main(["repair", str(bag)]) == 0
-    told = capsys.readouterr().out
+    code, told, _ = hpid("repair", bag)
+    assert code == 0
     assert "saved: " in told
     assert "lost: metadata.yaml is missing" in told
     assert f"written: {tmp_path / 'bag_repaired'}" in told
@@ -122,16 +123,13 @@ def test_the_command_says_what_was_saved_and_lost_and_keeps_the_old_bag(whole, t
     saved = read_raw(tmp_path / "bag_repaired")
     assert saved == messages[: len(saved)]
     assert len(saved) > 0.5 * len(messages)
-    assert main(["repair", str(bag)]) == 2
-    assert "exists already, nothing is overwritten" in capsys.readouterr().err
+    assert "exists already, nothing is overwritten" in refused("repair", bag)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"no bag at all" * 100])
-def test_a_bag_of_which_nothing_can_be_read_is_one_line(tmp_path, capsys, content):
+def test_a_bag_of_which_nothing_can_be_read_is_one_line(tmp_path, refused, content):
     (tmp_path / "empty.mcap").write_bytes(content)
-    assert main(["repair", str(tmp_path / "empty.mcap")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("hpid: ")
+    refused("repair", tmp_path / "empty.mcap")
     assert not (tmp_path / "empty_repaired").exists()
 
 
@@ -245,7 +243,7 @@ def test_a_run_whose_bridge_is_killed_with_its_recorder_leaves_a_bag_that_can_be
         return sum(file.stat().st_size for file in folder.glob("bags/*/*.mcap"))
 
     try:
-        wait_for(lambda: size() > 300_000, 60.0)
+        wait_until(lambda: size() > 300_000)
         os.kill(bridge_below(run.pid), signal.SIGKILL)
         assert run.wait(timeout=30) == 1
     finally:
@@ -265,11 +263,3 @@ def bridge_below(parent):
         except (FileNotFoundError, ProcessLookupError):
             continue
     raise AssertionError("no bridge")
-
-
-def wait_for(condition, within):
-    deadline = time.monotonic() + within
-    pause = threading.Event()
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {within} s in vain"
-        pause.wait(0.02)

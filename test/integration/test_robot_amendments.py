@@ -1,7 +1,5 @@
 """What a file lays over a robot that is known better than its URDF says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

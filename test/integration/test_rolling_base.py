@@ -1,7 +1,5 @@
 """The mobile base in the simulation: it rolls, it tells where it is, and it does not hide slip."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -72,9 +72,6 @@ def test_a_trial_says_whether_the_rate_can_be_held():
         (["--realtime-priority", "100"], "[0, 99], not 100"),
     ],
 )
-def test_bad_input_is_one_line(experiment_file, tmp_path, capsys, options, said):
-    assert run(experiment_file(), tmp_path / "run", *options) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
+def test_bad_input_is_one_line(experiment_file, tmp_path, refused, options, said):
+    assert said in refused("run", experiment_file(), "-o", tmp_path / "run", *options)
     assert not (tmp_path / "run").exists()

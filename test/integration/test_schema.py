@@ -1,12 +1,11 @@
 """The JSON Schema of experiment files says of them what their reader says."""
 
-from __future__ import annotations
-
 import json
 
 import jsonschema
 import pytest
 import yaml
+from harness.experiments import changed
 from harness.places import ROOT
 
 from hpid_ros.base.errors import ExperimentError
@@ -31,13 +30,6 @@ def test_the_command_prints_it(capsys):
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_every_experiment_fits(file, validator):
     validator.validate(yaml.safe_load(file.read_text()))
-
-
-def set_at(document, path, value):
-    *inner, last = path.split(".")
-    for key in inner:
-        document = document.setdefault(key, {})
-    document[last] = value
 
 
 @pytest.mark.parametrize(
@@ -67,7 +59,7 @@ def test_what_the_reader_refuses_the_schema_refuses(path, value, validator, tmp_
     document = yaml.safe_load((ROOT / "config" / "experiments" / "tracking.yaml").read_text())
     assert "extends" not in document
     validator.validate(document)
-    set_at(document, path, value)
+    changed(document, **{path.replace(".", "__"): value})
     assert not validator.is_valid(document)
     file = tmp_path / "wrong.yaml"
     file.write_text(yaml.safe_dump(document))

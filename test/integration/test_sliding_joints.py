@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from harness.bags import JOINT_STATE, MS, TYPES, command, ramp, state, trajectory
+from harness.bags import JOINT_STATE, MS, command, ramp, serialised, state, trajectory
+from harness.studies import compared
 
 from hpid_ros.cli.commands import BAD_INPUT, DONE
-from hpid_ros.cli.main import main
 from hpid_ros.cli.options import sliding_joints
 from hpid_ros.messages.series import RunSeries
 from hpid_ros.messages.storage import SLIDES, recorded_slides, slides_entry
@@ -68,22 +68,7 @@ def experiment(tmp_path_factory):
 @pytest.fixture(scope="module")
 def result(experiment):
     """Return the folder of a comparison."""
-    folder = experiment.with_name("result")
-    options = ["--in-process", "-o", str(folder)]
-    assert main(["compare", str(experiment), *options]) == DONE
-    return folder
-
-
-@pytest.fixture
-def run(capsys):
-    """Return a function that runs ``hpid`` and gives its exit code and streams."""
-
-    def hpid(*arguments):
-        capsys.readouterr()
-        code = main([*map(str, arguments)])
-        return code, *capsys.readouterr()
-
-    return hpid
+    return compared(experiment, experiment.with_name("result"))
 
 
 def rows_of(text):
@@ -97,14 +82,14 @@ def units_of(text):
 # Tables ----------------------------------------------------------------------------------------
 
 
-def test_every_format_names_both_units_and_which_joints_slide(run, result):
-    _, table, _ = run("metrics", result)
+def test_every_format_names_both_units_and_which_joints_slide(hpid, result):
+    _, table, _ = hpid("metrics", result)
     for heading in ("IVC [N m, N]", "IAVC [N m s, N s]", "ITAE [rad s^2, m s^2]"):
         assert heading in table
     assert "||u|| [N m s^0.5, N s^0.5]" in table
     assert table.count(NOTE) == 1
     assert max(map(len, table.splitlines())) <= 80
-    _, overall, _ = run("metrics", result, "--overall", "--indices", "all", "--units", "deg")
+    _, overall, _ = hpid("metrics", result, "--overall", "--indices", "all", "--units", "deg")
     for heading in ("RMSE [deg, m]", "ISE [deg^2 s, m^2 s]", "energy [J]", "rise [s]"):
         assert heading in overall
     assert NOTE.replace("rad", "deg") in overall
@@ -135,8 +120,8 @@ def test_every_format_names_both_units_and_which_joints_slide(run, result):
         (("--indices", "rise_time,energy"), "energy [J]", "slides"),  # no unit is another one
     ],
 )
-def test_where_there_is_one_unit_there_is_no_note(run, result, options, there, absent):
-    _, table, _ = run("metrics", result, *options)
+def test_where_there_is_one_unit_there_is_no_note(hpid, result, options, there, absent):
+    _, table, _ = hpid("metrics", result, *options)
     assert there in table
     assert not re.search(absent, table)
 
@@ -175,10 +160,10 @@ def test_nothing_but_units_changes_where_a_joint_slides(result):
     assert "joint_units" not in turning["json"]
 
 
-def test_degrees_leave_alone_what_slides(run, result):
+def test_degrees_leave_alone_what_slides(hpid, result):
     of_unit = {}
     for unit in ("rad", "deg"):
-        _, text, _ = run("metrics", result, "--csv", "--indices", "all", "--units", unit)
+        _, text, _ = hpid("metrics", result, "--csv", "--indices", "all", "--units", unit)
         of_unit[unit] = {
             (row["run"], row["joint"], row["quantity"]): float(row["value"])
             for row in rows_of(text)
@@ -200,12 +185,12 @@ def test_degrees_leave_alone_what_slides(run, result):
 
 
 @pytest.mark.parametrize("unit", ["rad", "deg"])
-def test_saved_numbers_keep_their_units(run, result, tmp_path, unit):
+def test_saved_numbers_keep_their_units(hpid, result, tmp_path, unit):
     saved = tmp_path / "saved.json"
-    _, first, _ = run("metrics", result, "--units", unit, "--save", saved, "--csv")
-    _, again, _ = run("metrics", saved, "--units", unit, "--csv")
+    _, first, _ = hpid("metrics", result, "--units", unit, "--save", saved, "--csv")
+    _, again, _ = hpid("metrics", saved, "--units", unit, "--csv")
     assert again == first
-    _, other, _ = run("metrics", saved, "--units", "deg", "--csv")
+    _, other, _ = hpid("metrics", saved, "--units", "deg", "--csv")
     assert units_of(other)["lift", "itae"] == "m s^2"
     assert units_of(other)["turn", "itae"] == "deg s^2"
 
@@ -218,22 +203,21 @@ def test_saved_numbers_keep_their_units(run, result, tmp_path, unit):
         ({"slides": []}, "itae is in 'rad s^2, m s^2', but must be in rad s^2 or deg s^2"),
     ],
 )
-def test_saved_numbers_that_contradict_themselves_are_refused(run, result, tmp_path, change, line):
+def test_saved_numbers_that_contradict_themselves_are_refused(
+    refused, result, tmp_path, change, line
+):
     document = json.loads((result / "result.json").read_text())["indices"]
     document["runs"]["PID"] |= change
     (tmp_path / "x.json").write_text(json.dumps(document))
-    code, _, errors = run("metrics", tmp_path / "x.json")
-    assert code == BAD_INPUT
-    assert line in errors
+    assert line in refused("metrics", tmp_path / "x.json")
 
 
-def test_medians_over_both_kinds_are_not_turned_into_degrees(run, result, tmp_path):
+def test_medians_over_both_kinds_are_not_turned_into_degrees(hpid, refused, result, tmp_path):
     bag, saved = result / "bags" / "PID", tmp_path / "medians.json"
-    code, table, _ = run("metrics", "--group", "A", bag, bag, "--units", "deg", "--save", saved)
+    code, table, _ = hpid("metrics", "--group", "A", bag, bag, "--units", "deg", "--save", saved)
     assert code == DONE  # single runs can be
     assert "ITAE [deg s^2, m s^2]" in table
-    code, _, errors = run("metrics", saved)
-    assert code == BAD_INPUT
+    errors = refused("metrics", saved)
     assert "its totals cannot be given in rad; give the single runs" in errors
 
 
@@ -255,18 +239,18 @@ def foreign_bag(path, description=None, *, has_reference=True, namespace="/"):
         if description is not None:
             kind = "std_msgs/msg/String"
             topic = bag.add_topic(f"{namespace}robot_description", kind)
-            bag.write(topic, 0, bytes(TYPES.serialize_cdr(TYPES.types[kind](description), kind)))
+            bag.write(topic, 0, serialised(kind, description))
         for name, log_time_ns, raw in sorted(log, key=lambda each: each[1]):
             bag.write(topics[name], log_time_ns, raw)
     return path
 
 
-def test_a_bag_of_this_package_says_it_wherever_it_lies(run, result, tmp_path):
+def test_a_bag_of_this_package_says_it_wherever_it_lies(hpid, result, tmp_path):
     import shutil
 
     moved = tmp_path / "moved"
     shutil.copytree(result / "bags" / "hPID", moved)
-    _, text, _ = run("metrics", moved, "--csv")
+    _, text, _ = hpid("metrics", moved, "--csv")
     assert units_of(text)["lift", "ivc"] == "N"
 
 
@@ -275,42 +259,42 @@ def test_a_bag_of_this_package_says_it_wherever_it_lies(run, result, tmp_path):
     [(ROBOT, "/", "N"), (ROBOT, "/left/", "N"), (None, "/", "N m")],
     ids=["said", "in a namespace", "not said"],
 )
-def test_a_latched_description_in_the_bag_says_it(run, tmp_path, description, namespace, unit):
+def test_a_latched_description_in_the_bag_says_it(hpid, tmp_path, description, namespace, unit):
     bag = foreign_bag(tmp_path / "bag", description, namespace=namespace)
     options = () if namespace == "/" else ("--namespace", "left")
-    _, text, errors = run("metrics", bag, "--csv", *options)
+    _, text, errors = hpid("metrics", bag, "--csv", *options)
     assert (units_of(text)["lift", "ivc"], units_of(text)["turn", "ivc"]) == (unit, "N m")
     assert "robot_description" not in errors
 
 
 @pytest.mark.parametrize("text", ["<robot", "not a robot", "<sdf/>"])
-def test_a_description_that_cannot_be_used_is_told_and_passed_over(run, tmp_path, text):
-    code, table, errors = run("metrics", foreign_bag(tmp_path / "bag", text))
+def test_a_description_that_cannot_be_used_is_told_and_passed_over(hpid, tmp_path, text):
+    code, table, errors = hpid("metrics", foreign_bag(tmp_path / "bag", text))
     assert code == DONE
     assert "IVC [N m]" in table
     assert "/robot_description does not tell which joints slide" in " ".join(errors.split())
 
 
 def test_a_named_robot_says_it_also_where_its_end_effector_cannot_be_followed(
-    run, experiment, tmp_path
+    hpid, experiment, tmp_path
 ):
     bag = foreign_bag(tmp_path / "bag", has_reference=False)
     urdf = experiment.with_name("lift.urdf")
     for robot in (urdf, experiment):
-        _, table, errors = run("metrics", bag, "--robot", robot)
+        _, table, errors = hpid("metrics", bag, "--robot", robot)
         assert "IVC [N m, N]" in table
     assert "the end effector is not followed" in errors
-    code, _, errors = run("metrics", bag, "--robot", urdf, "--end-effector", "arm")
+    code, _, errors = hpid("metrics", bag, "--robot", urdf, "--end-effector", "arm")
     assert code == BAD_INPUT
     assert "no reference of" in errors
 
 
-def test_what_one_recording_knows_holds_for_all_beside_it(run, experiment, tmp_path):
+def test_what_one_recording_knows_holds_for_all_beside_it(hpid, experiment, tmp_path):
     silent, telling = foreign_bag(tmp_path / "a"), foreign_bag(tmp_path / "b", ROBOT)
     saved = tmp_path / "saved.json"
-    _, text, _ = run("metrics", silent, "--units", "deg", "--save", saved, "--csv")
+    _, text, _ = hpid("metrics", silent, "--units", "deg", "--save", saved, "--csv")
     assert units_of(text)["lift", "itae"] == "deg s^2"  # nobody knew
-    _, text, _ = run("metrics", saved, telling, "--units", "deg", "--csv")
+    _, text, _ = hpid("metrics", saved, telling, "--units", "deg", "--csv")
     assert {row["unit"] for row in rows_of(text) if row["joint"] == "lift"} == {
         "N",
         "N s",
@@ -374,15 +358,15 @@ def test_a_norm_over_both_kinds_names_both_as_the_report_does(series, result):
 # Other commands --------------------------------------------------------------------------------
 
 
-def test_a_sweep_and_a_study_name_both_units(run, experiment, tmp_path):
+def test_a_sweep_and_a_study_name_both_units(hpid, experiment, tmp_path):
     options = ("--seeds", "1", "-j", "1", "-o")
-    code, _, _ = run("sweep", experiment, "--vary", "mu=-0.1", *options, tmp_path / "sweep")
+    code, _, _ = hpid("sweep", experiment, "--vary", "mu=-0.1", *options, tmp_path / "sweep")
     assert code == DONE
     table = (tmp_path / "sweep" / "table.txt").read_text()
     assert "||u|| [N m s^0.5, N s^0.5]" in table
     assert NOTE in table
     assert json.loads((tmp_path / "sweep" / "sweep.json").read_text())["units"]["ivc"] == "N m, N"
-    run("study", experiment, *options, tmp_path / "study")
+    hpid("study", experiment, *options, tmp_path / "study")
     (table,) = (tmp_path / "study").glob("*.md")
     assert "last \\|e\\| [rad, m]" in table.read_text()
     assert NOTE in table.read_text()
@@ -391,17 +375,17 @@ def test_a_sweep_and_a_study_name_both_units(run, experiment, tmp_path):
     assert document["experiments"]["lift"]["units"]["itae"] == "rad s^2, m s^2"
 
 
-def test_check_gains_names_the_unit_of_each_inertia(run, experiment):
-    code, text, told = run("check-gains", experiment)
+def test_check_gains_names_the_unit_of_each_inertia(hpid, experiment):
+    code, text, told = hpid("check-gains", experiment)
     assert "inertia m [kg m^2; kg: PID lift, hPID lift]" in " ".join(text.split()), (code, told)
 
 
 @pytest.mark.parametrize("describes", [True, False])
 def test_identify_has_the_units_of_what_the_recording_knows_to_slide(
-    run, result, tmp_path, describes
+    hpid, result, tmp_path, describes
 ):
     own = result / "bags" / "PID"
-    _, text, _ = run("identify", foreign_bag(tmp_path / "bag", ROBOT) if describes else own)
+    _, text, _ = hpid("identify", foreign_bag(tmp_path / "bag", ROBOT) if describes else own)
     assert "lift: kg, N s/m and N, where joints that turn have kg m²" in text
 
 
@@ -415,8 +399,8 @@ def test_margins_and_check_gains_ask_whoever_knows_what_slides(experiment, resul
     assert sliding_joints(Namespace(urdf=""), None) == set()
 
 
-def test_margins_are_drawn_on_the_inertia_in_its_unit(run, experiment, tmp_path):
-    code, *told = run(
+def test_margins_are_drawn_on_the_inertia_in_its_unit(hpid, experiment, tmp_path):
+    code, *told = hpid(
         *("margins", experiment, "--controller", "PID"),
         *("--friction", "lift=3", "turn=0.1", "--plot", tmp_path / "loop.svg"),
     )
@@ -430,7 +414,7 @@ def test_margins_are_drawn_on_the_inertia_in_its_unit(run, experiment, tmp_path)
     assert "N s/m" not in titles["turn"]
 
 
-def test_replay_has_newtons_for_a_joint_that_slides(run, result, tmp_path):
+def test_replay_has_newtons_for_a_joint_that_slides(hpid, result, tmp_path):
     import yaml
 
     bag = result / "bags" / "PID"
@@ -441,14 +425,14 @@ def test_replay_has_newtons_for_a_joint_that_slides(run, result, tmp_path):
         if "gains" in node["ros__parameters"]:
             node["ros__parameters"]["gains"]["p"] *= 1.5
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
-    _, text, _ = run("replay", bag, "--params", tmp_path / "other.yaml")
+    _, text, _ = hpid("replay", bag, "--params", tmp_path / "other.yaml")
     lift, turn = text.split("turn:")
     assert re.search(r" N was sent, the law answers \S+ N\b(?! m)", lift)
     assert " N m was sent" not in lift
     assert " N m was sent" in turn
 
 
-def test_an_upgrade_is_explained_in_units_of_the_joint(run, experiment, result, tmp_path):
+def test_an_upgrade_is_explained_in_units_of_the_joint(hpid, experiment, result, tmp_path):
     gains = {"lift": (400.0, 400.0, 60.0), "turn": (8.0, 8.0, 1.0)}
     lines = []
     for joint, (p, i, d) in gains.items():
@@ -456,8 +440,9 @@ def test_an_upgrade_is_explained_in_units_of_the_joint(run, experiment, result, 
         lines += ["    law: pid", f"    gains: {{p: {p}, i: {i}, d: {d}}}"]
     (tmp_path / "pid.yaml").write_text("\n".join(lines) + "\n")
     upgraded = tmp_path / "up.yaml"
-    bag = ("--bag", result / "bags" / "PID", "--inertia", "lift=2.5", "turn=0.03")
-    code, text, _ = run("upgrade", tmp_path / "pid.yaml", "--goal", "smooth", *bag, "-o", upgraded)
+    options = ("--goal", "smooth", "--bag", result / "bags" / "PID", "-o", upgraded)
+    inertias = ("--inertia", "lift=2.5", "turn=0.03")
+    code, text, _ = hpid("upgrade", tmp_path / "pid.yaml", *options, *inertias)
     assert code == DONE, text
     inertias, lift, turn = re.split(r"/\*\*/\w+_controller:", upgraded.read_text())
     assert "inertia [kg m^2, kg]" in inertias

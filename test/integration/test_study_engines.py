@@ -8,7 +8,7 @@ from harness.engines import needs_bullet
 from harness.studies import saved, study
 
 from hpid_ros.base.files import share_folder
-from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.commands import DONE
 from hpid_ros.experiment.study_plan import is_robot_installed
 from hpid_ros.metrics.quantities import INDICES
 
@@ -76,14 +76,13 @@ def test_the_other_engine_is_added_to_a_study_and_what_both_give_is_compared(
 
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_an_engine_that_is_not_installed_is_one_line_before_anything_runs(
-    studied, tmp_path, monkeypatch, capsys, engine
+    studied, tmp_path, monkeypatch, refused, engine
 ):
     monkeypatch.setitem(sys.modules, engine, None)  # as if it were not
     missing = "is not installed: pip install"
     for wanted, words in ((engine, missing), ("both", missing), ("bullet", "unknown engine")):
-        assert study(studied[0], tmp_path / "e", "--engine", wanted) == BAD_INPUT
-        (line,) = capsys.readouterr().err.splitlines()
-        assert words in line
+        options = ("--engine", wanted, "-o", tmp_path / "e")
+        assert words in refused("study", *studied[0], *options)
         assert not (tmp_path / "e").exists()
 
 

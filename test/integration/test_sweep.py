@@ -15,7 +15,6 @@ import pytest
 from harness.studies import wait_until
 
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
-from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment import batch
 from hpid_ros.experiment.batch import (
@@ -179,16 +178,10 @@ def test_an_interrupt_ends_every_process_and_leaves_what_was_run(
     assert json.loads((folder / "sweep.json").read_text())["runs"]["made"] == len(rows) - 1
 
 
-def run_cli(arguments, capsys):
-    code = main(["sweep", *map(str, arguments)])
-    streams = capsys.readouterr()
-    return code, streams.out, streams.err
-
-
-def test_a_point_that_is_the_baseline_has_ratio_one(experiment_file, tmp_path, capsys):
+def test_a_point_that_is_the_baseline_has_ratio_one(experiment_file, tmp_path, hpid):
     path = experiment_file(duration=0.1)
     options = [path, "--vary", "law=pid,hpid", "--vary", "mu=-0.1", "--seeds", 2, "--jobs", 1]
-    code, out, _ = run_cli([*options, "-o", tmp_path / "s", "--format", "csv"], capsys)
+    code, out, _ = hpid("sweep", *options, "-o", tmp_path / "s", "--format", "csv")
     assert code == DONE
     _, same, other = csv.DictReader(io.StringIO(out))
     for quantity in PAPER:
@@ -196,11 +189,11 @@ def test_a_point_that_is_the_baseline_has_ratio_one(experiment_file, tmp_path, c
     assert float(other["itae_ratio"]) != 1.0
 
 
-def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, capsys, backwards):
+def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, hpid, backwards):
     path = experiment_file(duration=0.1)
     one, other = tmp_path / "one", tmp_path / "other"
     options = [path, "--vary", "mu=-0.2,0.1,0.6", "--seeds", 2, "--jobs", 1]
-    code, out, err = run_cli([*options, "-o", one], capsys)
+    code, out, err = hpid("sweep", *options, "-o", one)
     assert code == DONE
     assert "\x1b" not in out + err
     assert err == f"result: {one}\n"
@@ -208,9 +201,9 @@ def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, cap
     assert "mu must lie in [-0.5, 0.5], not 0.6" in refused
     assert out == (one / "table.txt").read_text()
     with backwards:
-        code, out, _ = run_cli([*options, "-o", other, "--format", "json"], capsys)
+        code, out, _ = hpid("sweep", *options, "-o", other, "--format", "json")
     assert code == DONE
-    assert run_cli([*options, "-o", other], capsys)[:2] == (BAD_INPUT, "")
+    assert hpid("sweep", *options, "-o", other)[:2] == (BAD_INPUT, "")
     files = {each.name: each.read_bytes() for each in one.iterdir()}
     tables = {"sweep.csv", "sweep.json", "table.txt"}
     assert set(files) == {"experiment.yaml", "hpid_result.json", *tables}
@@ -229,7 +222,7 @@ def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, cap
 
 
 def test_a_failed_run_is_told_and_makes_the_exit_code(
-    experiment_file, tmp_path, capsys, monkeypatch
+    experiment_file, tmp_path, hpid, monkeypatch
 ):
     def fragile(task, keeper):
         if task.label == "hPID mu=0.1 seed=2":
@@ -238,7 +231,7 @@ def test_a_failed_run_is_told_and_makes_the_exit_code(
 
     monkeypatch.setattr(batch, "simulated", fragile)
     options = [experiment_file(duration=0.1), "--vary", "mu=0.1", "--seeds", 3, "--jobs", 1]
-    code, out, _ = run_cli([*options, "-o", tmp_path / "s"], capsys)
+    code, out, _ = hpid("sweep", *options, "-o", tmp_path / "s")
     assert code == FAILED
     assert "1 of 3 runs failed: ZeroDivisionError: by zero" in out
     assert (tmp_path / "s" / "sweep.csv").read_text().count("ZeroDivisionError: by zero") == 1
@@ -253,11 +246,8 @@ def test_a_failed_run_is_told_and_makes_the_exit_code(
     ],
 )
 def test_bad_input_is_one_line_and_leaves_no_folder(
-    experiment_file, tmp_path, capsys, option, words
+    experiment_file, tmp_path, refused, option, words
 ):
     options = [experiment_file(), "--vary", "mu=0.1", option, "-o", tmp_path / "s"]
-    code, out, err = run_cli(options, capsys)
-    assert (code, out) == (BAD_INPUT, "")
-    assert len(err.splitlines()) == 1
-    assert words in err
+    assert words in refused("sweep", *options)
     assert not (tmp_path / "s").exists()

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from hpid_ros.base.errors import GainError
-from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.main import main
 from hpid_ros.control.homogeneous_pid import is_hurwitz
 from hpid_ros.experiment import batch
@@ -50,10 +50,8 @@ def planned(experiment, law, **options):
 
 
 def tune(path, tmp_path, *options, folder="t"):
-    code = main(
-        ["tune", str(path), "-o", str(tmp_path / folder), "--evaluations", "12", "--seeds", "1"]
-        + [str(each) for each in options]
-    )
+    few = ("--evaluations", 12, "--seeds", 1)
+    code = main([*map(str, ("tune", path, "-o", tmp_path / folder, *few, *options))])
     return code, tmp_path / folder
 
 
@@ -330,13 +328,9 @@ def test_a_baseline_that_cannot_be_run_is_a_failure(path, tmp_path, capsys, monk
     ],
 )
 def test_bad_input_is_one_line_and_leaves_no_folder(
-    experiment_file, tmp_path, capsys, options, words
+    experiment_file, tmp_path, refused, options, words
 ):
     unknown = {} if options[1:] else {"controllers__joints__arm_joint_1__inertia": 0.0}
     path = experiment_file(duration=0.05, judge={"joints": ARM}, **unknown)
-    code = main(["tune", str(path), "-o", str(tmp_path / "t"), "--law", *options])
-    out, err = capsys.readouterr()
-    assert (code, out) == (BAD_INPUT, "")
-    assert words in err
-    assert len(err.splitlines()) == 1
+    assert words in refused("tune", path, "-o", tmp_path / "t", "--law", *options)
     assert unknown or not (tmp_path / "t").exists()

@@ -205,7 +205,9 @@ def test_effort_limits_are_the_narrower_of_the_urdfs_and_the_pids(own, limit, cl
         assert ("effort limit of the URDF" in found.reasons.get(name, "")) == (was != now)
 
 
-def test_the_range_of_inertia_is_in_the_file_and_counts_when_gains_are_checked(tmp_path, capsys):
+def test_the_range_of_inertia_is_in_the_file_and_counts_when_gains_are_checked(
+    tmp_path, hpid, refused
+):
     found = upgrade(pid(inertia=0.0), (0.1, 0.2), "fast")
     file = tmp_path / "upgraded.yaml"
     file.write_text(upgrade_text([found], ["A test."], {}))
@@ -213,11 +215,10 @@ def test_the_range_of_inertia_is_in_the_file_and_counts_when_gains_are_checked(t
     assert known.inertias == {"elbow": (0.1, 0.2)}
     assert list(known.loops) == ["elbow_controller"]
     for options, inertia in (([], [0.1, 0.2]), (["--inertia", "elbow=0.15:0.3"], [0.15, 0.3])):
-        assert main(["check-gains", str(file), "--json", *options]) == DONE
-        assert json.loads(capsys.readouterr().out)["elbow"]["inertia"] == inertia
+        code, printed, _ = hpid("check-gains", file, "--json", *options)
+        assert (code, json.loads(printed)["elbow"]["inertia"]) == (DONE, inertia)
     file.write_text(file.read_text().replace("[0.1, 0.2]", "[0.1]"))
-    assert main(["check-gains", str(file)]) == BAD_INPUT
-    assert "least and largest inertia, not [0.1]" in capsys.readouterr().err
+    assert "least and largest inertia, not [0.1]" in refused("check-gains", file)
 
 
 def parameter_text(**joints):
