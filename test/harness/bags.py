@@ -1,7 +1,5 @@
 """Messages and bags for tests, built from numbers."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from pathlib import Path

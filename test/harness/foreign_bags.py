@@ -1,7 +1,5 @@
 """Bags as other people's recorders write them, message by message."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rosbags.rosbag2 import StoragePlugin, Writer

@@ -1,7 +1,5 @@
 """Robots of PyBullet's data, and how tests name, load and shorten them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

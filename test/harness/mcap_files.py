@@ -1,7 +1,5 @@
 """MCAP files by the format's own library."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mcap.writer import Writer

@@ -1,7 +1,5 @@
 """A graph without ROS for the live page: joint loops on joints that are nothing but inertia."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

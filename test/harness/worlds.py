@@ -1,7 +1,5 @@
 """Worlds with the mobile manipulator at home, and a motion of it to the last bit."""
 
-from __future__ import annotations
-
 from harness.places import ROOT
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World

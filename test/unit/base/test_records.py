@@ -1,7 +1,5 @@
 """Records: what is declared once is checked, read, written and described alike."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Whatever wrote the files, and whatever happened to them: what is readable is read, once."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """A bag holds every byte that was written, whatever ended it, and other readers open it."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """A run comes out of a bag as it went in; what a bag lacks, repeats and confuses is reported."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections import Counter

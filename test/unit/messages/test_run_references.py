@@ -1,7 +1,5 @@
 """What a joint follows, as a bag has it: trajectories, setpoints, samples, controller states."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SQLite bags that were cut off, linked, numbered oddly, or made to deceive."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import struct

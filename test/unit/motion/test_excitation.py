@@ -1,7 +1,5 @@
 """Excitations, trials and relays stay within a joint's limits; the watch sees what does not."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A planned brick task: within every limit, along straight lines, through every brick."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Two wheels and the twist of their base; what a URDF says of them; dead reckoning by arcs."""
 
-from __future__ import annotations
-
 import math
 import re
 

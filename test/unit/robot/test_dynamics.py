@@ -1,7 +1,5 @@
 """Inertias, gravity, and the efforts that links and rotors need."""
 
-from __future__ import annotations
-
 import math
 import re
 

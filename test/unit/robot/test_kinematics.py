@@ -1,7 +1,5 @@
 """Where links are, and joint positions that put them somewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from harness.places import URDF

@@ -1,7 +1,5 @@
 """The robot that the package brings along: is it one that could be built, and does it stand?"""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Motor, bridge, encoder and homing run, each by itself, against its own closed form."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import replace

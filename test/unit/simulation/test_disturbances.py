@@ -1,7 +1,5 @@
 """What is scheduled happens on simulated time, every time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

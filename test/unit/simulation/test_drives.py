@@ -1,7 +1,5 @@
 """Drives, motors and bridges, alone and in the simulated robot, against what mechanics says."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

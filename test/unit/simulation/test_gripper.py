@@ -1,7 +1,5 @@
 """Bricks in the simulation: what is taken, what is missed, what is lost, and that it repeats."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """MuJoCo's model of a robot, against Pinocchio and against what it stands for."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

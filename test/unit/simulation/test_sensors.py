@@ -1,7 +1,5 @@
 """What the board reads: counts, noise, differences of positions, and the zero of a homing run."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The simulated robot against mechanics, whatever engine it has; to the last bit; refusals."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import platform
