@@ -157,10 +157,7 @@ def test_a_worker_that_comes_later_is_looked_at_as_it_works(experiment_file):
         ("nobody", "--scheduler must be tcp://HOST:PORT, not 'nobody'"),
         ("127.0.0.1:99999", "--scheduler must be tcp://HOST:PORT, not '127.0.0.1:99999'"),
         ("127.0.0.1:1", "no Dask scheduler answers at 127.0.0.1:1 within 0.5 s"),
-        (
-            "without",
-            "--scheduler needs Dask (import of distributed halted",
-        ),
+        ("without", "--scheduler needs Dask (import of distributed halted"),
     ],
 )
 def test_an_address_that_is_none_is_one_line(address, line, tmp_path, capsys, monkeypatch):

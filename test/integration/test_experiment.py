@@ -39,9 +39,7 @@ def test_later_layers_win(experiment_file):
     assert (by_joint["arm_joint_1"], by_joint["arm_joint_2"]) == (0.2, 0.1)
 
 
-def test_loops_know_the_robot_s_encoders_and_limits_unless_the_file_says_more(
-    experiment_file,
-):
+def test_loops_know_the_robot_s_encoders_and_limits_unless_the_file_says_more(experiment_file):
     own = {"u_clamp_max": 3.0}
     path = experiment_file(sensors__encoder_counts=1000, controllers__joints__arm_joint_2=own)
     loops = load_experiment(path).controllers["PID"]

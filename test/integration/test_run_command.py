@@ -67,10 +67,7 @@ def test_a_trial_says_whether_the_rate_can_be_held():
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [
-        (["--controller", "hPIDD"], "'hPIDD'"),
-        (["--realtime-priority", "100"], "[0, 99], not 100"),
-    ],
+    [(["--controller", "hPIDD"], "'hPIDD'"), (["--realtime-priority", "100"], "[0, 99], not 100")],
 )
 def test_bad_input_is_one_line(experiment_file, tmp_path, refused, options, said):
     assert said in refused("run", experiment_file(), "-o", tmp_path / "run", *options)

@@ -17,13 +17,7 @@ from harness.studies import wait_until
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment import batch
-from hpid_ros.experiment.batch import (
-    TOTAL,
-    RunTask,
-    WorldKeeper,
-    run_batch,
-    simulated,
-)
+from hpid_ros.experiment.batch import TOTAL, RunTask, WorldKeeper, run_batch, simulated
 from hpid_ros.experiment.compare import compute
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import NoProgress, run_without_ros

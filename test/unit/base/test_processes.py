@@ -9,12 +9,7 @@ from harness.chores import LOCK, behind_a_lock, deadly, faulty
 from harness.interrupts import heeded_interrupts
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.processes import (
-    processors,
-    raise_if_interrupted,
-    side_by_side,
-    uninterrupted,
-)
+from hpid_ros.base.processes import processors, raise_if_interrupted, side_by_side, uninterrupted
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -25,16 +25,7 @@ from harness.bags import (
     trajectory,
     write_bag,
 )
-from harness.foreign_bags import (
-    FLOAT64,
-    LATENCY,
-    commands,
-    float64,
-    in_order,
-    read,
-    states,
-    write,
-)
+from harness.foreign_bags import FLOAT64, LATENCY, commands, float64, in_order, read, states, write
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -194,10 +194,7 @@ def test_runs_under_the_same_conditions_are_compared_in_silence():
         (numbers("hPID", duration=3.0), "durations differ: 2 s and 3 s"),
         (numbers("hPID", shift=0.3), "references differ: b"),
         (numbers("hPID", period=2e-3), "state rates differ: 1000 Hz and 500 Hz"),
-        (
-            run_indices(recording("hPID"), 50.0),
-            "chatter cut-offs differ: 20 Hz and 50 Hz",
-        ),
+        (run_indices(recording("hPID"), 50.0), "chatter cut-offs differ: 20 Hz and 50 Hz"),
         (with_angles_in(numbers("hPID"), "deg"), "units differ: rad and deg"),
     ],
 )

@@ -57,9 +57,7 @@ def seconds(duration, period=1e-3):
 
 @given(
     hnp.arrays(
-        np.float64,
-        st.integers(0, 700),
-        elements=st.floats(-1e300, 1e300, allow_subnormal=True),
+        np.float64, st.integers(0, 700), elements=st.floats(-1e300, 1e300, allow_subnormal=True)
     )
 )
 def test_a_sum_is_correctly_rounded_whatever_its_terms(values):

@@ -8,14 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import TrajectoryError
-from hpid_ros.motion import (
-    JointTrajectory,
-    TrajectoryPoint,
-    combined,
-    minimum_jerk,
-    sine,
-    step,
-)
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint, combined, minimum_jerk, sine, step
 from hpid_ros.motion.references import reference_from
 
 NUMBERS = st.floats(-10.0, 10.0)

@@ -144,18 +144,12 @@ COMPOSED = {"joint_controllers": {"joints"}, "elbow": CONTROLLER, "merger": {"st
         ({"elbow": {"gains.p"}, "merger": {"straggler_wait"}}, None),
         ({name: {"gains.p"} for name in COMPOSED}, None),  # of the command line: to all nodes
         ({"elbow": {"qos_overrides./joint_commands.publisher.depth"}}, None),
-        (
-            {"elbow": {"gains.dd"}},
-            "elbow: unknown parameter 'gains.dd'; did you mean 'gains.d'?",
-        ),
+        ({"elbow": {"gains.dd"}}, "elbow: unknown parameter 'gains.dd'; did you mean 'gains.d'?"),
         (
             {name: {"stragler_wait"} for name in COMPOSED},
             "joint_controllers: unknown parameter 'stragler_wait'; did you mean 'straggler_wait'?",
         ),
-        (
-            {"elbow": {"straggler_wait"}},
-            "elbow: it has no parameter 'straggler_wait', merger has",
-        ),
+        ({"elbow": {"straggler_wait"}}, "elbow: it has no parameter 'straggler_wait', merger has"),
         (
             {"merger": {"xyz"}},
             "merger: unknown parameter 'xyz'; --help lists those that there are",

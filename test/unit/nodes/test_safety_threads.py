@@ -60,13 +60,7 @@ def test_nothing_follows_the_last_zero_of_another_thread():
     assert commands.leave()
     assert not commands.leave()
     commands.cut()
-    assert sent == [
-        (MS, 5.0),
-        (MS + 1, 1.5),
-        (MS + 1, 0.0),
-        (3 * MS, 7.0),
-        (3 * MS + 1, 0.0),
-    ]
+    assert sent == [(MS, 5.0), (MS + 1, 1.5), (MS + 1, 0.0), (3 * MS, 7.0), (3 * MS + 1, 0.0)]
 
 
 def test_an_effort_that_was_computed_before_the_process_was_stopped_is_not_sent_after_it():

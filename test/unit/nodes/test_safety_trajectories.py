@@ -15,11 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError
-from hpid_ros.messages.joint_trajectory import (
-    MOST_MIXED_POINTS,
-    MOST_POINTS,
-    decode_float64,
-)
+from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS, decode_float64
 
 
 def trajectory(joints, points, gives=(True, True, True, False), frame="", stamp=0, seed=0):

@@ -29,12 +29,7 @@ from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, norm_over_j
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.figures import NO_RUN, PAPER, RUN_STYLES, figures_of, phase_curve
 from hpid_ros.report.plots import drawn, render
-from hpid_ros.report.style import (
-    TickLabels,
-    laid_out,
-    legend_outside,
-    log_ticks,
-)
+from hpid_ros.report.style import TickLabels, laid_out, legend_outside, log_ticks
 
 pytestmark = pytest.mark.slow
 
@@ -331,10 +326,7 @@ def test_ticks_of_one_axis_have_the_fewest_decimals_that_tell_them_apart(ticks, 
 
 @pytest.mark.parametrize(
     ("limits", "labels"),
-    [
-        ((3e-3, 8e-3), ["0.004", "0.006", "0.008"]),
-        ((1.5, 60.0), ["2", "5", "10", "20", "50"]),
-    ],
+    [((3e-3, 8e-3), ["0.004", "0.006", "0.008"]), ((1.5, 60.0), ["2", "5", "10", "20", "50"])],
 )
 def test_a_short_logarithmic_axis_has_numbers_to_read_it_by(limits, labels):
     axis = Figure().subplots().yaxis
@@ -435,8 +427,7 @@ def test_the_error_rate_is_the_references_rate_minus_the_velocity():
 
 
 @given(
-    hnp.arrays(np.float64, st.integers(1, 500), elements=st.floats(-1e6, 1e6)),
-    st.integers(1, 40),
+    hnp.arrays(np.float64, st.integers(1, 500), elements=st.floats(-1e6, 1e6)), st.integers(1, 40)
 )
 def test_thinning_loses_no_peak_keeps_order_and_invents_nothing(values, buckets):
     signal = Signal(np.arange(values.size, dtype=np.int64) * 7, values)

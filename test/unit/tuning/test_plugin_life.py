@@ -326,10 +326,7 @@ def test_turns_that_are_counted_are_kept_where_chained_mode_begins(make):
 
 
 def test_what_another_controller_asks_of_a_wrapping_joint_takes_the_shorter_way(make):
-    plugin = make(
-        is_chained=True,
-        elbow={"angle_wraparound": True, **NO_STOPS},
-    )
+    plugin = make(is_chained=True, elbow={"angle_wraparound": True, **NO_STOPS})
     plugin.activate()
     plugin.update(10**9, (3.0, 0.0), (0.0, 0.0))
     for k in range(1, 200):
