@@ -136,7 +136,7 @@ def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Run
     from hpid_ros.experiment.cluster import Cluster
 
     with Cluster(options.scheduler) as cluster:
-        console.print(str(cluster), soft_wrap=True, highlight=False)
+        console.print(str(cluster), soft_wrap=True)
         yield cluster
 
 
@@ -146,9 +146,9 @@ def result_announced(console: Console, folder: ResultFolder, interrupted: str) -
     try:
         yield
     except KeyboardInterrupt:
-        console.print(f"{interrupted}: {folder.path}", soft_wrap=True, highlight=False)
+        console.print(f"{interrupted}: {folder.path}", soft_wrap=True)
         raise
-    console.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+    console.print(f"result: {folder.path}", soft_wrap=True)
 
 
 @contextmanager
@@ -189,7 +189,7 @@ def joint_progress(
                 advanced(f"{what}: {name}")
                 if is_logged and not console.is_terminal:
                     line = f"{what}: {name} ({done} of {joints})"
-                    console.print(line, markup=False, highlight=False, soft_wrap=True)
+                    console.print(line, soft_wrap=True)
 
         yield note
 

@@ -91,7 +91,7 @@ class RunProgress:
 
     def note(self, line: str) -> None:
         """Print a line above the bars."""
-        self._progress.console.print(line, style="yellow", highlight=False, soft_wrap=True)
+        self._progress.console.print(line, style="yellow", soft_wrap=True)
 
     def advanced(self, label: str, simulated: float) -> None:
         """Move a run's bar, with the rate since its first report."""
@@ -131,7 +131,7 @@ def reading() -> Iterator[Callable[[str, float], None]]:
 def print_notes(console: Console, notes: Sequence[str]) -> None:
     """Print what a reader must know of the runs, below their table."""
     for note in notes:
-        console.print(note, style="yellow", highlight=False, soft_wrap=True)
+        console.print(note, style="yellow", soft_wrap=True)
 
 
 def print_timing(console: Console, report: RunReport, duration: float) -> None:
@@ -155,7 +155,7 @@ def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
     """Print where a result lies."""
     console.print()
     for what, path in places.items():
-        console.print(f"{what}: {path}", soft_wrap=True, highlight=False)
+        console.print(f"{what}: {path}", soft_wrap=True)
 
 
 def print_runs(console: Console, reports: Sequence[RunReport], duration: float) -> None:
@@ -174,7 +174,7 @@ def print_runs(console: Console, reports: Sequence[RunReport], duration: float) 
     console.print(WideTable.of_rows(headings, rows, **_LOOK))
     for report in reports:
         for warning in report.warnings:
-            console.print(f"{report.label}: {warning}", style="yellow", highlight=False)
+            console.print(f"{report.label}: {warning}", style="yellow")
 
 
 def _microseconds(*values: float) -> list[str]:

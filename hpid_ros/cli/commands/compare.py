@@ -81,7 +81,7 @@ def _draw(console: Console, result: Path, formats: Sequence[str]) -> None:
     from hpid_ros.cli.commands.figures import FIGURES, draw_result
 
     draw_result(console, result, formats)
-    console.print(f"{FIGURES}: {result / FIGURES}", soft_wrap=True, highlight=False)
+    console.print(f"{FIGURES}: {result / FIGURES}", soft_wrap=True)
 
 
 def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:

@@ -54,5 +54,5 @@ def run(options: argparse.Namespace) -> int:
         if line:
             line = of_slide(line) if joint in slides else line
             print(f"# {line}")
-            errors.print(line, soft_wrap=True, highlight=False, markup=False)
+            errors.print(line, soft_wrap=True)
     return FAILED if any(each.reason for each in designs.values()) else DONE

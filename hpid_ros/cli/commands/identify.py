@@ -51,10 +51,10 @@ def run(options: argparse.Namespace) -> int:
     contents = _contents(options, robot, found)
     console = output_console()
     for part in report(found):
-        console.print(part, soft_wrap=isinstance(part, str), highlight=False, markup=False)
+        console.print(part, soft_wrap=isinstance(part, str))
     for path, content in contents.items():
         write_output(path, content)
-        console.print(f"written: {path}", markup=False, soft_wrap=True, highlight=False)
+        console.print(f"written: {path}", soft_wrap=True)
     return DONE if any(each.is_found for each in found.joints) else FAILED
 
 

@@ -135,7 +135,7 @@ def _print(console: Console, experiment: Experiment, label: str, *, has_page: bo
         "Ctrl-C ends it.",
     ]
     for line in lines:
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
 
 
 def _wait_for(

@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         write_output(target, content)
     count = len(film.frames)
     what = "1 picture" if count == 1 else f"{count} pictures"
-    console.print(f"{what}, {len(content) / 1e6:.2f} MB", highlight=False)
+    console.print(f"{what}, {len(content) / 1e6:.2f} MB")
     places = {"written": target}
     print_result_places(
         console, places | ({"report": result / "report.html"} if options.report else {})

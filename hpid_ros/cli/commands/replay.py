@@ -36,11 +36,11 @@ def run(options: argparse.Namespace) -> int:
             raise_if_interrupted()
     console = output_console()
     for line in unreadable:
-        console.print(f"not read: {line}", soft_wrap=True, markup=False, highlight=False)
+        console.print(f"not read: {line}", soft_wrap=True)
     for verdict in verdicts:
         for line in _lines(verdict):
-            console.print(line, soft_wrap=True, markup=False, highlight=False)
-    console.print(_summary(verdicts), soft_wrap=True, markup=False, highlight=False)
+            console.print(line, soft_wrap=True)
+    console.print(_summary(verdicts), soft_wrap=True)
     return DONE if all(each.is_the_law for each in verdicts) else FAILED
 
 

@@ -48,18 +48,15 @@ def run(options: argparse.Namespace) -> int:
     else:
         console = output_console()
         console.print(_table(robot.description.name, facts))
-        console.print(_CAPTION, style="dim", highlight=False)
+        console.print(_CAPTION, style="dim")
         slides = tuple(joint.name for joint in robot.description.joints.values() if joint.is_slide)
         if slides:
             verb = "slides" if len(slides) == 1 else "slide"
-            console.print(
-                f"{_listed(slides)} {verb}: {_OF_SLIDES}", highlight=False, soft_wrap=True
-            )
+            console.print(f"{_listed(slides)} {verb}: {_OF_SLIDES}", soft_wrap=True)
         for each in remarks:
             console.print(
                 f"{_listed(each.names)}: {each.text}",
                 style="yellow" if each.is_unsafe else "",
-                highlight=False,
                 soft_wrap=True,
             )
         if is_unsafe:

@@ -88,7 +88,7 @@ def _merge(options: argparse.Namespace, plan: StudyPlan, console: Console) -> in
     with study_folder(path, force=options.force, inputs=inputs) as folder:
         save(result, folder)
     _print(result, options.format)
-    console.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+    console.print(f"result: {folder.path}", soft_wrap=True)
     return DONE
 
 

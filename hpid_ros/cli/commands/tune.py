@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
                     search.run()
                 finally:
                     result.save(folder)
-            errors.print(result.table(), end="", soft_wrap=True, highlight=False, markup=False)
+            errors.print(result.table(), end="", soft_wrap=True)
             print(result.snippet(), end="")
     return DONE if search.best is not None else FAILED
 

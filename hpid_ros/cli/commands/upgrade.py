@@ -105,7 +105,7 @@ def _of_bag(options: argparse.Namespace) -> int:
         options.goal,
         options.params,
         options.payload,
-        lambda phase: errors.print(phase, style="dim", highlight=False, markup=False),
+        lambda phase: errors.print(phase, style="dim"),
         _certifying(errors),
     )
     prediction, contents = found.prediction, {"page": render(found, files)}
@@ -118,12 +118,12 @@ def _of_bag(options: argparse.Namespace) -> int:
     if prediction.is_credible:
         console.print(_table(found))
         console.print("")
-    console.print(summary(found), style="bold", highlight=False, markup=False)
+    console.print(summary(found), style="bold")
     for line in doubts(found):
-        console.print(f"! {shown(line)}", style="yellow", highlight=False, markup=False)
+        console.print(f"! {shown(line)}", style="yellow")
     console.print("")
     for name in contents:
-        console.print(f"written: {files[name]}", markup=False, soft_wrap=True, highlight=False)
+        console.print(f"written: {files[name]}", soft_wrap=True)
     return FAILED if found.proposals.failures or not prediction.is_credible else DONE
 
 
@@ -193,7 +193,7 @@ def _verify(options: argparse.Namespace) -> int:
     console.print("over what was recorded before; off: measured over predicted", style="dim")
     console.print("")
     for line in (*found.warnings, *found.others):
-        console.print(f"! {shown(line)}", style="yellow", highlight=False, markup=False)
+        console.print(f"! {shown(line)}", style="yellow")
     console.print(_verdict(found))
     return DONE if found.is_held else FAILED
 
@@ -292,7 +292,7 @@ def _of_file(options: argparse.Namespace) -> int:
     if comparison is not None:
         console.print("\nPredicted, simulated on the model, with every proposal:")
         console.print(ComparisonTable(comparison))
-    console.print(f"\nwritten: {options.output}", markup=False, soft_wrap=True, highlight=False)
+    console.print(f"\nwritten: {options.output}", soft_wrap=True)
     return FAILED if failures else DONE
 
 
