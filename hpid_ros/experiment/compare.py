@@ -40,8 +40,9 @@ from hpid_ros.metrics.folding import (
     unfollowed_lines,
     unfollowed_mapping,
 )
+from hpid_ros.metrics.laws import gains_of_runs
 from hpid_ros.metrics.measure import Measuring, measure
-from hpid_ros.metrics.quantities import PAPER, GainSignals, Quantity
+from hpid_ros.metrics.quantities import PAPER, Quantity
 from hpid_ros.metrics.task import (
     BaseFigures,
     BrickFigures,
@@ -288,6 +289,10 @@ def save(result: Result, folder: ResultFolder, how: str) -> None:
 
     folder.write("table.csv", table_csv(result.comparison))
     folder.write("table.tex", table_latex(result.comparison))
+    settings = {
+        label: {each.joint: each for each in loops}
+        for label, loops in result.experiment.controllers.items()
+    }
     provenance = {
         "experiment": result.experiment.name,
         "ran": how,
@@ -304,23 +309,10 @@ def save(result: Result, folder: ResultFolder, how: str) -> None:
             result.runs,
             provenance,
             result.parameters(),
-            gains=_gain_signals(result),
+            gains=gains_of_runs(result.runs, settings),
             paths=result.paths,
         ),
     )
-
-
-def _gain_signals(result: Result) -> dict[str, dict[str, GainSignals]]:
-    """Return norm and gain multiplier over time, by run and joint."""
-    from hpid_ros.metrics.laws import gain_signals
-
-    found = {}
-    for run in result.runs:
-        settings = {each.joint: each for each in result.experiment.controllers[run.label]}
-        signals = gain_signals(run, settings)
-        if signals is not None:
-            found[run.label] = signals
-    return found
 
 
 def run_controller(
@@ -358,10 +350,6 @@ def run_controller(
 Computed = Callable[[Result, Sequence[RunReport]], None]
 
 
-def _nothing(result: Result, reports: Sequence[RunReport]) -> None:
-    pass
-
-
 @dataclass(frozen=True)
 class Compared:
     result: Result  # the numbers
@@ -377,7 +365,7 @@ def compare(
     in_process: bool = False,
     options: GraphOptions | None = None,
     force: bool = False,
-    computed: Computed = _nothing,
+    computed: Computed = lambda result, reports: None,
 ) -> Compared:
     """Run an experiment's controllers one after the other, record, compute, report, certify.
 
@@ -387,45 +375,34 @@ def compare(
         return _compare(experiment, folder, progress, in_process, options, computed)
 
 
-@dataclass(frozen=True)
-class ComparedEngines:
-    compared: Mapping[str, Compared]  # the comparison in each engine, by its name
-    totals: tuple[EngineTotal, ...]  # each total of each controller in all engines
-    folder: ResultFolder  # where everything lies
-
-    @property
-    def grids(self) -> list[Grid]:
-        """How far the engines lie apart, as tables."""
-        comparison = next(iter(self.compared.values())).result.comparison
-        slides = slides_note(comparison.joint_names, comparison.slides)
-        note = f"Totals over all driven joints, one seed. {slides}"
-        return engine_grids(self.totals, note.strip())
-
-
 def compare_engines(
     experiments: Sequence[Experiment],
     output: Path,
     progress: Progress,
     *,
-    in_process: bool = False,
-    options: GraphOptions | None = None,
-    force: bool = False,
-    computed: Computed = _nothing,
-) -> ComparedEngines:
-    """Make the same comparison in two engines, and say how far they lie apart."""
+    in_process: bool,
+    options: GraphOptions,
+    force: bool,
+    computed: Computed,
+) -> list[Grid]:
+    """Make the same comparison in two engines, and return tables of how far they lie apart."""
     with ResultFolder.create(output, force=force, inputs=experiments[0].inputs) as folder:
-        compared = {}
+        results = {}
         for experiment in experiments:
             engine = experiment.world.engine
             part = folder.part(engine)
             told = NamedProgress(progress, engine, list(experiment.controllers))
-            compared[engine] = _compare(experiment, part, told, in_process, options, computed)
-        totals = _engine_totals({engine: each.result for engine, each in compared.items()})
-        both = ComparedEngines(compared, totals, folder)
-        folder.write("engines.txt", grids_text(both.grids))
+            results[engine] = _compare(
+                experiment, part, told, in_process, options, computed
+            ).result
+        totals = _engine_totals(results)
+        first = next(iter(results.values())).comparison
+        slides = slides_note(first.joint_names, first.slides)
+        grids = engine_grids(totals, f"Totals over all driven joints, one seed. {slides}".strip())
+        folder.write("engines.txt", grids_text(grids))
         folder.write("engines.csv", engines_csv(totals))
         folder.write("engines.json", json.dumps(engine_mapping(totals), indent=2) + "\n")
-    return both
+    return grids
 
 
 def _engine_totals(results: Mapping[str, Result]) -> tuple[EngineTotal, ...]:

@@ -69,6 +69,14 @@ def _shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def gains_of_runs(
+    runs: Sequence[RunSeries], settings: Mapping[str, Mapping[str, LoopSettings]]
+) -> dict[str, dict[str, GainSignals]]:
+    """Return :func:`gain_signals` by label, of the runs whose loops are known."""
+    found = {run.label: gain_signals(run, settings.get(run.label, {})) for run in runs}
+    return {label: signals for label, signals in found.items() if signals is not None}
+
+
 def gain_signals(
     run: RunSeries, settings: Mapping[str, LoopSettings]
 ) -> dict[str, GainSignals] | None:

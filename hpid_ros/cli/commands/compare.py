@@ -86,13 +86,13 @@ def _draw(console: Console, result: Path, formats: Sequence[str]) -> None:
 
 def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
     """Run the comparison in both engines, one after the other, and print how far they differ."""
-    engines = chosen_engines(options)
+    engines = [str(each) for each in chosen_engines(options)]
     experiments = [named_experiment(options.experiment, engine) for engine in engines]
     warn_uncontrolled(experiments)
     first = experiments[0]
     output = output_folder(options, first.name)
     console = output_console()
-    labels = [named(label, str(engine)) for engine in engines for label in first.controllers]
+    labels = [named(label, engine) for engine in engines for label in first.controllers]
     with RunProgress(console, first, labels) as progress:
 
         def show(result: Result, reports: Sequence[RunReport]) -> None:
@@ -101,18 +101,18 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
             _print(console, result, reports)
             console.print()
 
-        both = compare_engines(
+        grids = compare_engines(
             *(experiments, output, progress),
             in_process=options.in_process,
             options=GraphOptions(options.processes),
             force=options.force,
             computed=show,
         )
-    for grid in both.grids:
+    for grid in grids:
         console.print(grid)
-    reports = {f"report in {engine}": output / engine / REPORT for engine in both.compared}
+    reports = {f"report in {engine}": output / engine / REPORT for engine in engines}
     print_result_places(console, {"both": output} | reports)
-    for engine in both.compared if formats else ():
+    for engine in engines if formats else ():
         _draw(console, output / engine, formats)
     return DONE
 

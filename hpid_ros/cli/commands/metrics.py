@@ -22,7 +22,7 @@ from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.result_folder import ResultFolder, check_place, versions
 from hpid_ros.messages.selection import BagSelection, Reference, parse_command_topics
-from hpid_ros.metrics.laws import gain_signals
+from hpid_ros.metrics.laws import gains_of_runs
 from hpid_ros.metrics.measure import (
     ALL_JOINTS,
     Measuring,
@@ -241,14 +241,14 @@ def _report_text(found: Summary) -> str:
 
 def gains_of(found: Summary) -> Gains:
     """Return what the laws did to their gains, of each run whose parameters are known."""
-    gains = {}
-    for run in found.series:
-        parameters = found.parameters.get(run.label, {})
-        settings = {j: LoopSettings.from_parameters(each) for j, each in parameters.items()}
-        signals = gain_signals(run, settings)
-        if signals is not None:
-            gains[run.label] = signals
-    return gains
+    settings = {
+        run.label: {
+            joint: LoopSettings.from_parameters(each)
+            for joint, each in found.parameters.get(run.label, {}).items()
+        }
+        for run in found.series
+    }
+    return gains_of_runs(found.series, settings)
 
 
 def run(options: argparse.Namespace) -> int:
