@@ -30,12 +30,8 @@ from hpid_ros.robot.dynamics import inertia_ranges
 from hpid_ros.simulation.settings import ENGINES, require_engine
 from hpid_ros.stability.gain_check import Loop, inertia_of
 
-DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"
-"""What runs if no file is named."""
-
-
-BOTH = "both"
-"""``--engine both``: the same runs in every engine."""
+DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"  # what runs if no file is named
+BOTH = "both"  # ``--engine both``: the same runs in every engine
 
 
 def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:

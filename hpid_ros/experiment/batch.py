@@ -25,17 +25,14 @@ from hpid_ros.simulation.engine import record_run
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 
-LAST = 1.0
-"""How much of the end of a run is looked at, in [s]; all of a shorter one."""
+LAST = 1.0  # how much of the end of a run is looked at, in [s]; all of a shorter one
 
 LAST_ERROR = Quantity(
     "last_error", "last |e|", "rad", "largest error of the last second", Fold.WORST, 1
 )
 QUANTITIES: tuple[Quantity, ...] = (*PAPER, OVERSHOOT, ERROR_MAX, CHATTER, LAST_ERROR)
-"""What is kept of a run."""
 
-TOTAL = ""
-"""Stands for all judged joints where a joint's name would be."""
+TOTAL = ""  # stands for all judged joints where a joint's name would be
 
 
 class RunRecord(NamedTuple):
@@ -169,8 +166,7 @@ Records = Generator[tuple[Any, RunRecord], None, None]
 Runner = Callable[[Mapping[Any, RunTask]], Records]
 """Runs tasks, as :func:`run_batch` does; wherever that is, the numbers are the same."""
 
-_keeper = WorldKeeper()
-"""Of this process, which runs one task after the other."""
+_keeper = WorldKeeper()  # of this process, which runs one task after the other
 
 
 def _work(task: RunTask) -> RunRecord:
@@ -217,8 +213,7 @@ class Quartiles(NamedTuple):
         return {k: v if math.isfinite(v) else None for k, v in self._asdict().items()}
 
 
-RowKey = tuple[object, ...]
-"""Names a row: what is run once with every seed."""
+RowKey = tuple[object, ...]  # names a row: what is run once with every seed
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ from hpid_ros.experiment.batch import Records, RunRecord, RunTask, WorldKeeper, 
 from hpid_ros.experiment.result_folder import versions
 from hpid_ros.robot.description import RobotDescription, find_mesh
 
-Parcel = dict[str, bytes]
-"""Files that runs need: contents by name, which tells its content."""
+Parcel = dict[str, bytes]  # files that runs need: contents by name, which tells its content
 
 
 def pack(tasks: Sequence[RunTask]) -> tuple[list[RunTask], Parcel]:

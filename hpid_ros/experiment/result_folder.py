@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 MARKER = "hpid_result.json"
 """Name of the file that makes a folder a result of this package, and lists what it wrote."""
 
-EXPERIMENT = "experiment.yaml"
-"""Name of the copy of the experiment file."""
+EXPERIMENT = "experiment.yaml"  # name of the copy of the experiment file
 
 _PARTS = ("numpy", "pybullet", "mujoco", "pin", "rosbags", "ros-rclpy", "rclpy", "ros-fastrtps")
 _FORMAT = 1

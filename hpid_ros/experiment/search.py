@@ -295,8 +295,9 @@ def _homogeneous(scale: str, settings: LoopSettings, mu: float, **norm: float) -
 
 
 LEAST_EVALUATIONS = 10
-_TRAINING = 1000
-"""Training seeds begin so far above the experiment's own: those of a study stay unseen."""
+_TRAINING = (
+    1000  # training seeds begin so far above the experiment's: those of a study stay unseen
+)
 
 Loops = tuple[LoopSettings, ...]
 

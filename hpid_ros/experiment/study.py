@@ -62,8 +62,7 @@ from hpid_ros.report.table import (
 )
 from hpid_ros.stability.gain_check import DegreeChecker
 
-JOINTS_SHARE = 4.0 / 6.0
-"""The paper's four of six joints."""
+JOINTS_SHARE = 4.0 / 6.0  # the paper's four of six joints
 
 
 @dataclass(frozen=True)
@@ -172,8 +171,7 @@ def verdict(claim: PaperClaim, evidence: Mapping[str, Evidence]) -> tuple[str, t
     return ("holds only when" if held else "does not hold"), held
 
 
-SETTLED = 0.01
-"""A controller has settled whose error stays below this in the last second, in [rad]."""
+SETTLED = 0.01  # [rad] below which the error of a settled controller stays in the last second
 
 
 @dataclass(frozen=True)

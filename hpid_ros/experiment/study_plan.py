@@ -22,8 +22,7 @@ from hpid_ros.simulation.settings import require_engine
 
 JOURNAL = "runs.jsonl"
 
-SLOW = ("bricks",)
-"""Experiments that are in a study only when they are named."""
+SLOW = ("bricks",)  # experiments that are in a study only when they are named
 
 
 class RunKey(NamedTuple):
@@ -85,8 +84,7 @@ def shard_of(text: str) -> slice:
     raise SettingError(f"a shard is K/N with K from 1 to N, for instance 1/8, not {text!r}")
 
 
-ALL = slice(None)
-"""The shard that has all runs."""
+ALL = slice(None)  # the shard that has all runs
 
 
 @dataclass(frozen=True)

@@ -207,8 +207,7 @@ def _on_robot(
     return known
 
 
-LARGEST_SWEEP = 1_000_000
-"""Runs of one sweep at most."""
+LARGEST_SWEEP = 1_000_000  # runs of one sweep at most
 
 
 @dataclass(frozen=True)

@@ -64,8 +64,7 @@ def _source(run: RunIndices, data: Data) -> str:
     return run.assumed.get(data, recorded[data])
 
 
-SHORTEST = 0.1
-"""Shorter common times, in [s], say nothing of whole motions: runs are left as they are."""
+SHORTEST = 0.1  # [s] shorter common times say nothing of whole motions: runs are left as they are
 
 
 class Cut(NamedTuple):
@@ -111,8 +110,7 @@ def common_cuts(runs: Sequence[RunIndices]) -> tuple[Cut, ...]:
 
 # Half of the last digit that tables show: what reads as 1.000 is called equal.
 EQUAL_WITHIN = 5e-4
-THRESHOLD = f"within {100.0 * EQUAL_WITHIN:g}%"
-"""How near to one a ratio is that counts as unchanged."""
+THRESHOLD = f"within {100.0 * EQUAL_WITHIN:g}%"  # how near to one a ratio counts as unchanged
 
 
 class Verdict(Enum):

@@ -14,14 +14,10 @@ from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import NORMS, Data, Quantity
 from hpid_ros.metrics.results import RunIndices, Spread
 
-SMALL = 0.05
-"""An error below this is small for any joint, in [rad]."""
-SHARE_OF_RANGE = 0.1
-"""So is one below this share of the reference's range."""
-SELDOM = 0.1
-"""A joint follows if its error is small for at least this share of its motion."""
-MOVED = 0.05
-"""A joint whose position ranges over more than this has moved, in [rad]."""
+SMALL = 0.05  # an error below this is small for any joint, in [rad]
+SHARE_OF_RANGE = 0.1  # so is one below this share of the reference's range
+SELDOM = 0.1  # a joint follows if its error is small for at least this share of its motion
+MOVED = 0.05  # a joint whose position ranges over more than this has moved, in [rad]
 
 
 def unfollowed(run: RunSeries) -> dict[str, float]:
@@ -217,8 +213,7 @@ def _lacking(runs: Sequence[RunIndices], joint: str) -> dict[Data, str]:
     }
 
 
-BySeed = Mapping[int, float]
-"""A number of each run, by its seed."""
+BySeed = Mapping[int, float]  # a number of each run, by its seed
 
 
 @dataclass(frozen=True)

@@ -165,30 +165,17 @@ def _line(name: str, values: ArrayLike) -> Numbers:
     return line
 
 
-SEGMENT = 1.0
-"""Length of the segments of Welch's method, in [s]; the whole signal if it is shorter."""
-SHORTEST_SEGMENT = 16
-"""With fewer samples there is no spectrum."""
-SPECTRUM_DIGITS = 12
-"""Fast Fourier transforms differ between processors beyond these."""
-LEAST_FREQUENCY = 0.5
-"""Where drawings begin, in [Hz]: half a segment of Welch's method says nothing below."""
-EVEN_WITHIN = 1e-3
-"""Periods that differ by less than this share are the same."""
-GAP = 1.75
-"""Steps longer than so many periods have lost samples; shorter ones are late samples."""
-MOST_BRIDGED = 2.0
-"""Where more than every other sample is missing, nothing is known of what is fast."""
-PLATEAU = 5
-"""So many equal commands in a row at the extreme value are a limit."""
-AT_LIMIT = 1e-9
-"""Relative distance at which an effort is at its limit."""
-
-
-BLOCK = 1 << 16
-"""Samples that are worked on at once."""
-WINDOWS = 512
-"""Windows of Welch's method that are transformed at once."""
+SEGMENT = 1.0  # [s] of Welch's method; the whole signal if it is shorter
+SHORTEST_SEGMENT = 16  # with fewer samples there is no spectrum
+SPECTRUM_DIGITS = 12  # fast Fourier transforms differ between processors beyond these
+LEAST_FREQUENCY = 0.5  # [Hz] where drawings begin: half a segment says nothing below
+EVEN_WITHIN = 1e-3  # periods that differ by less than this share are the same
+GAP = 1.75  # steps longer than so many periods have lost samples; shorter ones are late samples
+MOST_BRIDGED = 2.0  # with more than every other sample lost, nothing is known of what is fast
+PLATEAU = 5  # so many equal commands in a row at the extreme value are a limit
+AT_LIMIT = 1e-9  # relative distance at which an effort is at its limit
+BLOCK = 1 << 16  # samples that are worked on at once
+WINDOWS = 512  # windows of Welch's method that are transformed at once
 
 
 class Spectrum(NamedTuple):
@@ -321,16 +308,12 @@ def _on_plateau(is_extreme: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return plateau
 
 
-SHORTEST_HOLD = 0.1
-"""A reference that moves again within this time has not stepped, in [s]."""
-LEAST_HEIGHT = 1e-3
-"""Lower steps are not told from sensor noise, in [rad]."""
-LEAST_SHARE = 0.1
-"""Steps lower than this share of the joint's highest are left out."""
+SHORTEST_HOLD = 0.1  # a reference that moves again within this time has not stepped, in [s]
+LEAST_HEIGHT = 1e-3  # lower steps are not told from sensor noise, in [rad]
+LEAST_SHARE = 0.1  # steps lower than this share of the joint's highest are left out
 RISE_FROM, RISE_TO = 0.1, 0.9
 SETTLED_WITHIN = 0.02
-STEADY_SHARE = 0.1
-"""The steady-state error is the mean over this last part of the hold."""
+STEADY_SHARE = 0.1  # the steady-state error is the mean over this last part of the hold
 
 
 class Step(NamedTuple):

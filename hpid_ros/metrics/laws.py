@@ -21,8 +21,7 @@ from hpid_ros.messages.storage import Storage
 from hpid_ros.metrics.quantities import GainSignals, Signal
 from hpid_ros.stability.closed_loop import norm_values
 
-_HEADER = 12
-"""Bytes of an encapsulation header and a stamp."""
+_HEADER = 12  # bytes of an encapsulation header and a stamp
 
 
 def read_retunes(path: Path) -> tuple[Retune, ...]:

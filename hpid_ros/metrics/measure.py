@@ -229,8 +229,7 @@ def summary(
 
 
 RESULT = "result.json"
-LABEL = "label"
-"""Name of a bag's label among its metadata (custom_data)."""
+LABEL = "label"  # name of a bag's label among its metadata (custom_data)
 
 
 @dataclass(frozen=True)

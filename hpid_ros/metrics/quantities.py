@@ -22,8 +22,7 @@ from hpid_ros.base.units import Numbers, unit_over
 from hpid_ros.messages.series import JointSeries, RunSeries, SeriesError, seconds_since
 
 DEGREES_PER_RADIAN = 180.0 / math.pi
-ANGLE_UNITS = ("rad", "deg")
-"""Units in which angles can be given."""
+ANGLE_UNITS = ("rad", "deg")  # units in which angles can be given
 
 
 class Data(Enum):
@@ -75,12 +74,9 @@ IAVC = _of_effort("iavc", "IAVC", "N m s", "effort spent")
 ITAE = Quantity("itae", "ITAE", "rad s^2", "time-weighted error", angle_power=1)
 EFFORT_L2 = _of_effort("effort_l2", "||u||", "N m s^0.5", "L2 norm of the effort", Fold.EUCLIDEAN)
 ERROR_L2 = Quantity("error_l2", "||e||", "rad s^0.5", "L2 norm of the error", Fold.EUCLIDEAN, 1)
-INDICES = (IVC, IAVC, ITAE)
-"""The paper's indices of each joint."""
-NORMS = (EFFORT_L2, ERROR_L2)
-"""The paper's norms, over all joints."""
-PAPER = (*INDICES, *NORMS)
-"""What the paper's comparison shows of a run."""
+INDICES = (IVC, IAVC, ITAE)  # the paper's indices of each joint
+NORMS = (EFFORT_L2, ERROR_L2)  # the paper's norms, over all joints
+PAPER = (*INDICES, *NORMS)  # what the paper's comparison shows of a run
 
 IAE = Quantity("iae", "IAE", "rad s", "absolute error", angle_power=1)
 ISE = Quantity("ise", "ISE", "rad^2 s", "squared error", angle_power=2)
@@ -101,8 +97,8 @@ CHATTER = _of_effort(
 )
 ENERGY = _of_effort("energy", "energy", "J", "mechanical work exchanged")
 
+# Defined for joints whose reference steps.
 STEP_QUANTITIES = (RISE_TIME, SETTLING_TIME, OVERSHOOT, STEADY_STATE_ERROR)
-"""Defined for joints whose reference steps."""
 QUANTITIES: Mapping[str, Quantity] = {
     quantity.key: quantity
     for quantity in (
@@ -191,8 +187,7 @@ class GainSignals(NamedTuple):
     multiplier: Signal
 
 
-Gains = Mapping[str, Mapping[str, GainSignals]]
-"""What the laws did, by label and joint."""
+Gains = Mapping[str, Mapping[str, GainSignals]]  # what the laws did, by label and joint
 
 
 def norm_over_joints(signals: Sequence[Signal]) -> Signal:

@@ -57,19 +57,13 @@ from hpid_ros.metrics.quantities import (
     folded,
 )
 
-KNOTS = 33
-"""Points at which each reference is kept."""
+KNOTS = 33  # points at which each reference is kept
 KNOT_DIGITS = 9
-DURATION_WITHIN = 0.01
-"""Durations, and rates of states, that differ by less than this share are the same."""
-RATE_WITHIN = 0.05
-"""Rates that differ by more than this share are of other loops, and not of lost states alone."""
-REFERENCE_WITHIN = 0.02
-"""References that differ by less than this share of their range are the same ..."""
-REFERENCE_AT_LEAST = 1e-3
-"""... or by less than this, in [rad]."""
-UNLIKE_KNOTS = 2
-"""So many points must differ: one may lie in a jump."""
+DURATION_WITHIN = 0.01  # durations, and rates of states, that differ by a lower share are the same
+RATE_WITHIN = 0.05  # by a larger share: rates of other loops, and not of lost states alone
+REFERENCE_WITHIN = 0.02  # references that differ by a lower share of their range are the same
+REFERENCE_AT_LEAST = 1e-3  # [rad] or by less than this
+UNLIKE_KNOTS = 2  # so many points must differ: one may lie in a jump
 
 
 EVERYTHING = frozenset(QUANTITIES)
@@ -267,8 +261,7 @@ def _for_json(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-DEFAULT_CUTOFF = 20.0
-"""Above what motions of an arm hold and below what its drives follow, in [Hz]."""
+DEFAULT_CUTOFF = 20.0  # [Hz] above what motions of an arm hold, below what its drives follow
 
 
 def joint_indices(

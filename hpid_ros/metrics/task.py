@@ -23,11 +23,9 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 from hpid_ros.robot.kinematics import Kinematics, LinkPoses, axis_rotations, rotation_angles
 
-SLIP_SHARE = 0.01
-"""Slip that is worth a line: more than this share of the way."""
+SLIP_SHARE = 0.01  # slip that is worth a line: more than this share of the way
 
-SLIP_FLOOR = 0.005
-"""And more than this, in [m]."""
+SLIP_FLOOR = 0.005  # and more than this, in [m]
 
 
 @dataclass(frozen=True)

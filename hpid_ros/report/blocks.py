@@ -33,8 +33,7 @@ SPOKEN = {
 }
 """Verdicts in a word, for screen readers."""
 
-NOTHING = "–"
-"""What stands in the place of a value that there is not."""
+NOTHING = "–"  # what stands in the place of a value that there is not
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ from hpid_ros.report.table import (
     total_name,
 )
 
-NAMES: Mapping[str, str] = {"pybullet": "PyBullet", "mujoco": "MuJoCo"}
-"""Engines as their makers write them."""
+NAMES: Mapping[str, str] = {"pybullet": "PyBullet", "mujoco": "MuJoCo"}  # engines
 
 _NOTHING = "-"
 _PLAIN = 10.0  # percent; above it decimals say nothing

@@ -73,8 +73,7 @@ RUN_STYLES = (
 )
 
 FIGURE_FORMATS = ("png", "pdf", "svg")
-PRINT_SAMPLES = 8000
-"""Detail of a line: twelve times the pixels of a panel in a PNG, so that a PDF can be enlarged."""
+PRINT_SAMPLES = 8000  # of a line: twelve times a panel's pixels, so that a PDF can be enlarged
 
 
 def require_formats(formats: Sequence[str]) -> None:
@@ -91,8 +90,7 @@ def require_picture(path: Path) -> None:
         raise SettingError(f"--plot must end in {names}, not {path.name!r}")
 
 
-NO_RUN = -1
-"""Stands for a run where a line is the reference, or a mark is of no run."""
+NO_RUN = -1  # stands for a run where a line is the reference, or a mark is of no run
 LEAST_NORM = 1e-6  # zero has no place on a logarithmic axis
 
 
@@ -395,12 +393,9 @@ def _paths(paths: Sequence[EndEffectorPath], labels: Sequence[str]) -> Figure:
     return Figure("end_effector", "path", title, "", "", panels)
 
 
-RATE_WINDOW = 0.025
-"""Time over which the error's rate is fitted, in [s]."""
-LEAST_JUMP = 1e-3
-"""Lower jumps of a reference are not told from its own resolution, in [rad]."""
-JUMP_RATIO = 10.0
-"""A reference jumps where it moves so many times further than in the periods before and after."""
+RATE_WINDOW = 0.025  # time over which the error's rate is fitted, in [s]
+LEAST_JUMP = 1e-3  # lower jumps of a reference are not told from its own resolution, in [rad]
+JUMP_RATIO = 10.0  # a jump goes so many times further than the periods before and after
 
 
 class PhaseCurve(NamedTuple):

@@ -58,8 +58,7 @@ Stamps = NDArray[np.int64]
 
 MOST_RUNS = 4
 MOST_FRAMES = 1500
-LONGEST = 10.0
-"""An animation that is longer is shown faster where nobody says how fast, in [s]."""
+LONGEST = 10.0  # an animation that is longer is shown faster where nobody says how fast, in [s]
 _SHORTEST = 1e-3  # [s]
 
 
@@ -410,8 +409,7 @@ def _picture(drawing: Drawing) -> Image.Image:
 
 ANIMATED = (".webp", ".gif", ".png")
 STILL = (".png", ".webp", ".jpg")
-_LAST_MS = 1500
-"""How long the last frame stands before the first comes again."""
+_LAST_MS = 1500  # how long the last frame stands before the first comes again
 _QUALITY = 72
 _COARSER = (_QUALITY, 50, 25)
 _LARGEST = 1_500_000  # bytes in a report

@@ -138,8 +138,7 @@ def render_page(
     )
 
 
-SAMPLES = 150_000
-"""Samples of all lines together: about 1.6 MB of text."""
+SAMPLES = 150_000  # samples of all lines together: about 1.6 MB of text
 LEAST_SAMPLES, MOST_SAMPLES = 200, 6000
 PIXELS_PER_POINT = 4.0 / 3.0
 

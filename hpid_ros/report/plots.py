@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
@@ -44,9 +44,6 @@ from hpid_ros.report.style import (
     ratio_ticks,
     styled_line,
 )
-
-if TYPE_CHECKING:
-    pass
 
 DECADES_AT_MOST = 6.0  # of a spectrum
 MARKER_SIZE = 8.0
@@ -217,11 +214,9 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
     return front
 
 
-PAIRS = ((IVC, ITAE), (IAVC, ITAE), (IVC, ERROR_L2))
-"""What is drawn over what."""
+PAIRS = ((IVC, ITAE), (IAVC, ITAE), (IVC, ERROR_L2))  # what is drawn over what
 
-SHOWN_UP_TO = 6.0
-"""Points more than so many times worse than the baseline in either cost are left out."""
+SHOWN_UP_TO = 6.0  # points so many times worse than the baseline in either cost are left out
 
 
 class SearchPoints(NamedTuple):

@@ -132,8 +132,7 @@ def _readable(text: str) -> str:
 
 
 TICK_STEPS = (1, 2, 2.5, 5, 10)
-PLAIN_DECADES = 2.0
-"""Below so many decades powers of ten are too few to read a logarithmic axis by."""
+PLAIN_DECADES = 2.0  # below, powers of ten are too few to read a logarithmic axis by
 
 
 def plain_ticks(axis: Axis, most: int, *, are_whole: bool = False) -> None:

@@ -24,8 +24,8 @@ from hpid_ros.cli.terminal import output_console
 from hpid_ros.experiment.processes import SHARED_MEMORY
 from hpid_ros.simulation.settings import ENGINES
 
+# Fine; something that not everybody needs is missing; controllers or the robot will not run.
 OK, NOTE, BAD = "ok", "note", "bad"
-"""Fine; something that not everybody needs is missing; controllers or the robot will not run."""
 _LOOKS = {OK: "green", NOTE: "yellow", BAD: "red"}
 _PYTHONS = (3, 10), (3, 13)  # the oldest, and the newest that the suite was run with
 _ROOM = 64 * 2**20  # [bytes] of shared memory for a run of eleven processes

@@ -30,8 +30,7 @@ from hpid_ros.report.figures import PRINT_SAMPLES, Figure, figures_of, require_f
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.world_file import world_of
 
-FIGURES = "figures"
-"""Name of their folder in a result."""
+FIGURES = "figures"  # name of their folder in a result
 
 
 def run(options: argparse.Namespace) -> int:
