@@ -231,21 +231,21 @@ class EngineTotal:
         object.__setattr__(self, "unit", self.unit or self.quantity.unit)
 
     @property
-    def distances(self) -> list[float]:
-        """The second engine's number over the first's with the same seed, less 1."""
+    def distances(self) -> dict[int, float]:
+        """The second engine's number over the first's with the same seed, less 1, by seed."""
         against, own = self.values.values()
-        found = (ratio(own[seed], against[seed]) - 1.0 for seed in own if seed in against)
-        return [each for each in found if not math.isnan(each)]
+        found = {seed: ratio(own[seed], against[seed]) - 1.0 for seed in own if seed in against}
+        return {seed: each for seed, each in found.items() if not math.isnan(each)}
 
     @property
     def distance(self) -> float | None:
         """Median of the distances; None if no seed has run in both engines."""
-        return median(self.distances)
+        return median([*self.distances.values()])
 
     @property
     def largest_distance(self) -> float | None:
         """Of the distances, the one that is farthest from 0."""
-        return max(self.distances, key=abs, default=None)
+        return max(self.distances.values(), key=abs, default=None)
 
 
 def median(values: Sequence[float]) -> float | None:

@@ -53,19 +53,11 @@ def engines_csv(totals: Sequence[EngineTotal]) -> str:
     names = ("experiment", "controller", "seed", "quantity", "unit")
     rows: list[list[object]] = [[*names, *engines, "distance"]]
     for total in totals:
-        against, own = total.values.values()
-        for seed in sorted({*against, *own}):
-            pair = EngineTotal(
-                *(total.experiment, total.controller, total.quantity),
-                {
-                    engine: {seed: each[seed]} if seed in each else {}
-                    for engine, each in total.values.items()
-                },
-            )
-            distance = "" if pair.distance is None else pair.distance
+        columns = (*total.values.values(), total.distances)
+        for seed in sorted({seed for each in columns for seed in each}):
             run = (total.experiment, total.controller, seed)
-            values = (each.get(seed, "") for each in (against, own))
-            rows.append([*run, total.quantity.key, total.unit, *values, distance])
+            cells = (each.get(seed, "") for each in columns)
+            rows.append([*run, total.quantity.key, total.unit, *cells])
     return csv_text(rows)
 
 

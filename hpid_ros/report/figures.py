@@ -152,26 +152,10 @@ def _caption(title: str, y: str, x: str) -> str:
     return ": ".join(filter(None, (title, " over ".join(filter(None, (y, x))))))
 
 
-class JointUnits(NamedTuple):
-    """Which joints of a figure slide."""
-
-    are_slides: tuple[bool, ...]  # of each joint, in the order of the panels
-
-    @classmethod
-    def of(cls, runs: Sequence[RunSeries]) -> JointUnits:
-        """Return those of the first run's joints; what one run knows holds for all."""
-        slides = frozenset[str]().union(*(run.slides for run in runs))
-        return cls(tuple(joint in slides for joint in runs[0].joint_names))
-
-    def over_all(self, unit: str) -> str:
-        """Return the unit of an axis that the panels share: both where both kinds are there."""
-        return unit_over(unit, self.are_slides)
-
-    def suffixes(self, unit: str) -> tuple[str, ...]:
-        """Return what follows each joint's name above its panel: its unit where they differ."""
-        if not unit or len(set(self.are_slides)) < 2:
-            return ("",) * len(self.are_slides)
-        return tuple(f" [{of_slide(unit) if each else unit}]" for each in self.are_slides)
+def are_slides(runs: Sequence[RunSeries]) -> list[bool]:
+    """Return of each joint of the first run whether it slides, as far as any run knows."""
+    slides = frozenset[str]().union(*(run.slides for run in runs))
+    return [joint in slides for joint in runs[0].joint_names]
 
 
 def figures_of(
@@ -208,7 +192,7 @@ class _RunFigures:
         labels = [run.label for run in comparison.runs]
         self._runs = [(labels.index(run.label), run) for run in runs]
         self._names = runs[0].joint_names
-        self._units = JointUnits.of(runs)
+        self._are_slides = are_slides(runs)
         self._gains = gains
         self._samples = samples
         self._retunes = [
@@ -243,6 +227,17 @@ class _RunFigures:
     def _of(self, run: RunSeries, joint: str) -> JointSeries:
         return run.joints[run.joint_names.index(joint)]
 
+    def _unit(self, unit: str) -> str:
+        """Return the unit of an axis that the panels share: both where both kinds are there."""
+        return unit_over(unit, self._are_slides)
+
+    def _headings(self, unit: str) -> list[tuple[str, str]]:
+        """Return each joint, and what its panel is called: with its unit where they differ."""
+        if not unit or len(set(self._are_slides)) < 2:
+            return [(joint, joint) for joint in self._names]
+        pairs = zip(self._names, self._are_slides, strict=True)
+        return [(joint, f"{joint} [{of_slide(unit) if each else unit}]") for joint, each in pairs]
+
     def _positions(self, title: str) -> Figure:
         figure = self._of_joints("positions", title, "position", "rad", position_of)
         first = self._runs[0][1]
@@ -263,7 +258,7 @@ class _RunFigures:
         signal_of: SignalOf,
         level: float | None = None,
     ) -> Figure:
-        what = f"{what} [{self._units.over_all(unit)}]"
+        what = f"{what} [{self._unit(unit)}]"
         return self._over_time(
             name, title, what, lambda run, series: signal_of(series), level, unit
         )
@@ -290,17 +285,17 @@ class _RunFigures:
         y_log: bool = False,
     ) -> Figure:
         panels = []
-        for joint, suffix in zip(self._names, self._units.suffixes(unit), strict=True):
+        for joint, heading in self._headings(unit):
             signals = [(k, run, signal_of(run, self._of(run, joint))) for k, run in self._runs]
             lines = [self._line(k, run, signal) for k, run, signal in signals if signal]
-            panels.append(Panel(joint + suffix, lines, level, self._retunes))
+            panels.append(Panel(heading, lines, level, self._retunes))
         return Figure(name, "time", title, "time [s]", y, panels, y_log, mark="retuned")
 
     def _norm(
         self, name: str, what: str, unit: str, signal_of: SignalOf, quantity: Quantity
     ) -> Figure:
         lines = [self._line(k, run, norm_of_run(run, signal_of)) for k, run in self._runs]
-        unit_of_l2 = self._units.over_all(quantity.unit)
+        unit_of_l2 = self._unit(quantity.unit)
         unit_of_l2 = f"[{unit_of_l2}]" if "," in unit_of_l2 else unit_of_l2
         labels = {}
         for k, run in self._runs:
@@ -309,7 +304,7 @@ class _RunFigures:
             labels[k] = f"{run.label}: {f'no {quantity.meaning}' if math.isnan(value) else note}"
         return Figure(
             *(name, "time", f"Norm of the {what}", "time [s]"),
-            f"norm of the {what} over all joints [{self._units.over_all(unit)}]",
+            f"norm of the {what} over all joints [{self._unit(unit)}]",
             [Panel("all joints", lines, 0.0, self._retunes)],
             labels=labels,
             mark="retuned",
@@ -325,13 +320,13 @@ class _RunFigures:
 
     def _spectrum(self) -> Figure:
         unit, panels = "N m / √Hz", []
-        for joint, suffix in zip(self._names, self._units.suffixes(unit), strict=True):
+        for joint, heading in self._headings(unit):
             found = [(k, amplitude_density(self._of(run, joint))) for k, run in self._runs]
             lines = [Line(k, each.frequency, each.density) for k, each in found if each]
-            panels.append(Panel(joint + suffix, lines, None, [(NO_RUN, DEFAULT_CUTOFF)]))
+            panels.append(Panel(heading, lines, None, [(NO_RUN, DEFAULT_CUTOFF)]))
         return Figure(
             *("spectrum", "frequency", "Spectrum of the effort", "frequency [Hz]"),
-            f"effort density [{self._units.over_all(unit)}]",
+            f"effort density [{self._unit(unit)}]",
             panels,
             y_log=True,
             mark=f"chatter above {DEFAULT_CUTOFF:g} Hz",
@@ -339,13 +334,12 @@ class _RunFigures:
 
     def _phase(self) -> Figure:
         panels = []
-        suffixes = self._units.suffixes("rad, rad/s")
-        for joint, suffix in zip(self._names, suffixes, strict=True):
+        for joint, heading in self._headings("rad, rad/s"):
             curves = [
                 (k, phase_curve(self._of(run, joint), self._samples)) for k, run in self._runs
             ]
-            panels.append(Panel(joint + suffix, [Line(k, *curve) for k, curve in curves], 0.0))
-        rate, error = (self._units.over_all(unit) for unit in ("rad/s", "rad"))
+            panels.append(Panel(heading, [Line(k, *curve) for k, curve in curves], 0.0))
+        rate, error = map(self._unit, ("rad/s", "rad"))
         axes = f"error [{error}]", f"error rate [{rate}]"
         return Figure("phase", "curves", "Phase portrait", *axes, panels)
 

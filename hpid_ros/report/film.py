@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.text import figure_text, shown
-from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.base.units import NANOSECONDS, Numbers, unit_over
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.messages.messages import BagMessages
 from hpid_ros.messages.run import read_run
@@ -38,9 +38,9 @@ from hpid_ros.report.figures import (
     PAPER,
     RUN_STYLES,
     Figure,
-    JointUnits,
     Line,
     Panel,
+    are_slides,
 )
 from hpid_ros.report.plots import draw_panel
 from hpid_ros.report.style import figure_style
@@ -123,16 +123,10 @@ class Film(NamedTuple):
     instants: Numbers  # what each shows, seconds since the first state
 
 
-class Recorded(NamedTuple):
-    """Runs and their world."""
-
-    world: WorldSettings
-    runs: tuple[RunSeries, ...]  # the runs, in the result's order
-    bags: dict[str, Path]  # the recording of each, by label
-
-
-def recorded(result: Path, labels: Sequence[str] = ()) -> Recorded:
-    """Return the runs of a result."""
+def recorded(
+    result: Path, labels: Sequence[str] = ()
+) -> tuple[WorldSettings, tuple[RunSeries, ...], dict[str, Path]]:
+    """Return the world of a result, its runs in its order, and the recording of each by label."""
     bags = recordings_of(result)
     for label in labels:
         if label not in bags:
@@ -142,7 +136,7 @@ def recorded(result: Path, labels: Sequence[str] = ()) -> Recorded:
     world = world_of(document.values, document).world
     selection = BagSelection(joints=world.joints)
     runs = tuple(read_run(bag, label, selection=selection) for label, bag in chosen.items())
-    return Recorded(world, runs, chosen)
+    return world, runs, chosen
 
 
 def render(
@@ -338,7 +332,7 @@ class _Page:
         """Draw the error's norm over all joints, or the position of a joint, within a time."""
         lines, runs = [], self._runs
         if joint is None:
-            self._symbol, self._unit = "|e|", JointUnits.of(runs).over_all("rad")
+            self._symbol, self._unit = "|e|", unit_over("rad", are_slides(runs))
             title = f"error, norm over all joints [{self._unit}]; green: where the references are"
             signals = self._readings = [norm_of_run(run, error_of) for run in runs]
         else:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MultipleLocator
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import RenderableType, group
 from rich.text import Text
 
 from hpid_ros.base.text import figure_text
@@ -39,22 +39,18 @@ _PLACES = (
 )
 
 
-class MarginTable:
-    """The worst margins of each loop, and below them where, and what is certain."""
-
-    def __init__(self, reports: Mapping[str, LoopReport]) -> None:
-        self._reports = reports
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        rows = [row for name, each in self._reports.items() for row in _rows(name, each)]
-        yield WideTable.of_rows(_FIGURES, rows, names=2)
-        yield ""
-        verdicts = [(name, *_verdict_cells(each)) for name, each in self._reports.items()]
-        yield WideTable.of_rows(_PLACES, verdicts, names=2)
-        yield ""
-        for name, each in self._reports.items():
-            yield from (Text(f"{name}: {line}", style=style) for line, style in _lines(each))
-        yield Text(_legend(self._reports.values()), style="dim")
+@group()
+def margin_table(reports: Mapping[str, LoopReport]) -> Iterator[RenderableType]:
+    """Yield the worst margins of each loop, and below them where, and what is certain."""
+    rows = [row for name, each in reports.items() for row in _rows(name, each)]
+    yield WideTable.of_rows(_FIGURES, rows, names=2)
+    yield ""
+    verdicts = [(name, *_verdict_cells(each)) for name, each in reports.items()]
+    yield WideTable.of_rows(_PLACES, verdicts, names=2)
+    yield ""
+    for name, each in reports.items():
+        yield from (Text(f"{name}: {line}", style=style) for line, style in _lines(each))
+    yield Text(_legend(reports.values()), style="dim")
 
 
 def _rows(name: str, report: LoopReport) -> list[list[str]]:
@@ -197,8 +193,8 @@ def margins_figure(name: str, report: LoopReport) -> Figure:
     extreme = _worst_of_band(found, family, worst.inertia)
     _draw_phase(panels[1], lines, worst.margins, extreme)
     _draw_nyquist(nyquist, lines, worst.margins, extreme)
-    _draw_peak(panels[2], lines, _SENSITIVITY, worst.margins, extreme)
-    _draw_peak(complementary, lines, _COMPLEMENTARY, worst.margins, extreme)
+    _draw_peak(panels[2], lines, "sensitivity", worst.margins, extreme)
+    _draw_peak(complementary, lines, "complementary", worst.margins, extreme)
     figure.suptitle(_title(name, report, worst), x=0.01, ha="left", fontsize=10.5)
     handles = _handles(family, lines)
     legend_outside(figure, handles, "lower", len(handles))
@@ -456,41 +452,33 @@ def _disk(margins: Margins) -> Circle:
     return Circle((0.5 * (left + right), 0.0), 0.5 * (right - left))
 
 
-class _Peaked(NamedTuple):
-    """A magnitude with a peak that is a figure of the loop."""
-
-    title: str  # of its panel
-    function: Callable[[Complexes], Numbers]  # of the open loop
-    name: str  # of the peak among the margins
-    symbol: str  # of the peak
-
-
-_SENSITIVITY = _Peaked("sensitivity |S|", _sensitivity, "sensitivity", "$M_s$")
-_COMPLEMENTARY = _Peaked("complementary |T|", _complementary, "complementary", "$M_t$")
-
-
 def _draw_peak(
     panel: Axes,
     lines: _Lines,
-    what: _Peaked,
+    name: str,
     margins: Margins | None,
     extreme: Margins | None,
 ) -> None:
+    """Draw a magnitude whose peak is the figure of this name among the margins."""
+    title, symbol, function = {
+        "sensitivity": ("sensitivity |S|", "$M_s$", _sensitivity),
+        "complementary": ("complementary |T|", "$M_t$", _complementary),
+    }[name]
     panel.axhline(1.0, color=INK, linewidth=0.8)
-    _draw_line(panel, lines, what.function)
+    _draw_line(panel, lines, function)
     panel.set_yscale("log")
     found = [(each, color) for each, color in ((margins, INK), (extreme, _BAND.color)) if each]
-    highest = max((getattr(each, what.name) for each, _ in found), default=1.0)
+    highest = max((getattr(each, name) for each, _ in found), default=1.0)
     panel.set_ylim(_LEAST_SHOWN, max(1.8 * highest, 3.0))
     for each, color in found:
-        place = getattr(each, f"{what.name}_at") / math.tau, getattr(each, what.name)
+        place = getattr(each, f"{name}_at") / math.tau, getattr(each, name)
         panel.plot(*place, marker="o", color=color, markersize=4.5, zorder=6)
     values = [
-        f"{getattr(each, what.name):.2f} ({name})"
-        for each, name in ((margins, "PID"), (extreme, "band"))
+        f"{getattr(each, name):.2f} ({whose})"
+        for each, whose in ((margins, "PID"), (extreme, "band"))
         if each
     ]
-    panel.set_title(what.title + (f"; {what.symbol} = {', '.join(values)}" if values else ""))
+    panel.set_title(title + (f"; {symbol} = {', '.join(values)}" if values else ""))
     panel.set_xlabel("frequency [Hz]")
     log_ticks(panel.xaxis)
     log_ticks(panel.yaxis)

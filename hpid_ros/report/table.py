@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from rich.box import SIMPLE, Box
@@ -183,22 +184,16 @@ def columns_of(
     return [TableColumn(h, each, h in texts) for h, each in zip(headings, cells, strict=True)]
 
 
+@dataclass(frozen=True)
 class WideTable:
     """A table as a rich renderable that suits itself to the width it gets."""
 
-    def __init__(
-        self,
-        names: Sequence[TableColumn],
-        columns: Sequence[TableColumn],
-        *,
-        title: str = "",
-        box: Box | None = None,
-        header_style: str = "bold",
-        padding: int = 1,
-    ) -> None:
-        self._names, self._columns = tuple(names), tuple(columns)
-        self._title, self._box, self._header_style = title, box, header_style
-        self._padding = padding
+    names: Sequence[TableColumn]  # of the rows
+    columns: Sequence[TableColumn]
+    title: str = ""
+    box: Box | None = None
+    header_style: str = "bold"
+    padding: int = 1
 
     @classmethod
     def of_rows(
@@ -215,16 +210,16 @@ class WideTable:
         return cls(columns[:names], columns[names:], **look)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        if self._title:
-            yield Text(self._title, style="bold")
-        width, gap = options.max_width, self._padding + (self._box is not None)
-        names, columns = self._names, self._columns
+        if self.title:
+            yield Text(self.title, style="bold")
+        width, gap = options.max_width, self.padding + (self.box is not None)
+        names, columns = self.names, self.columns
         least = sum(min(each.width, _LEAST_NAME) if each.is_text else each.width for each in names)
         widest = max((each.least_width for each in columns), default=0)
         if least + gap * len(names) + widest > width:  # the rows have numbers instead
             rows = len(names[0].cells)
             names = (TableColumn("#", [str(k + 1) for k in range(rows)]),)
-            columns = (*self._names, *self._columns)
+            columns = (*self.names, *self.columns)
         for place, block in enumerate(pieces(names, columns, width, gap)):
             if place:
                 yield ""
@@ -232,11 +227,11 @@ class WideTable:
 
     def _block(self, columns: Sequence[TableColumn], limits: Sequence[int]) -> Table:
         table = Table(
-            box=self._box,
+            box=self.box,
             show_edge=False,
-            padding=(0, self._padding, 0, 0),
+            padding=(0, self.padding, 0, 0),
             pad_edge=False,
-            header_style=self._header_style,
+            header_style=self.header_style,
         )
         for column, limit in zip(columns, limits, strict=True):
             table.add_column(
@@ -315,9 +310,9 @@ class Grid(NamedTuple):
         yield ""
 
 
-def grids_text(grids: Iterable[RenderableType]) -> str:
-    """Return tables as plain text, one line a row however long it is."""
-    console = plain_console(UNLIMITED_WIDTH)
+def grids_text(grids: Iterable[RenderableType], width: int = UNLIMITED_WIDTH) -> str:
+    """Return tables as plain text without colours; one line a row however long it is."""
+    console = plain_console(width)
     with console.capture() as capture:
         for grid in grids:
             console.print(grid)
@@ -396,11 +391,11 @@ def cells_of(
     return rows
 
 
+@dataclass(frozen=True)
 class ComparisonTable:
     """The table as a rich renderable that suits itself to the width it gets."""
 
-    def __init__(self, comparison: Comparison) -> None:
-        self.comparison = comparison
+    comparison: Comparison
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         ascii_only = options.ascii_only
@@ -445,11 +440,7 @@ class ComparisonTable:
 
 def table_text(comparison: Comparison, width: int = 100) -> str:
     """Return the table as plain text without colours or trailing spaces."""
-    console = plain_console(width)
-    with console.capture() as capture:
-        console.print(ComparisonTable(comparison))
-    lines = (line.rstrip() for line in capture.get().splitlines())
-    return "\n".join(lines).strip("\n") + "\n"
+    return grids_text([ComparisonTable(comparison)], width)
 
 
 class _Blocks:

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from hpid_ros.cli.commands.check_gains import GainTable
+from hpid_ros.cli.commands.check_gains import gain_table as table_of_gains
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.settings import Timing
@@ -43,7 +43,7 @@ def gain_table():
         )  # fmt: skip
 
     names = ["arm_joint_1", "a_joint_with_a_name_as_long_as_somebody_liked", "x"]
-    return GainTable({name: verdict(name, k) for k, name in enumerate(names)})
+    return table_of_gains({name: verdict(name, k) for k, name in enumerate(names)})
 
 
 def robot_table():
@@ -137,5 +137,5 @@ def test_a_gain_table_names_a_sampling_rate_that_breaks_the_loop():
     loop = LoopSettings("elbow", Gains(100.0, 100.0, 20.0), timing=Timing(control_period=0.06))
     from hpid_ros.stability.gain_check import check_gains
 
-    text = printed(GainTable({"elbow": check_gains([(loop, (1.0, 1.0))])[0]}), 80)
+    text = printed(table_of_gains({"elbow": check_gains([(loop, (1.0, 1.0))])[0]}), 80)
     assert "T kd lam / m = 1.20: the sampled loop breaks at 0.85" in " ".join(text.split())

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import RenderableType, group
 from rich.text import Text
 
 from hpid_ros.base.console import TextConsole
@@ -41,53 +41,48 @@ from hpid_ros.stability.gain_check import (
 )
 
 if TYPE_CHECKING:
+    from hpid_ros.experiment.description import Experiment
     from hpid_ros.robot.coupling import Settling
 
 
 _HEADINGS = ("loop", "ok", "mu", "certified mu", "rho", "T kd", "lam", "settles", "inertia")
 
 
-class GainTable:
-    """One row for each loop, and the reasons below."""
-
-    def __init__(
-        self, verdicts: Mapping[str, GainVerdict], slides: Collection[str] = frozenset()
-    ) -> None:
-        self._verdicts, self._slides = verdicts, slides
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        rows = [(name, *_cells(verdict)) for name, verdict in self._verdicts.items()]
-        yield WideTable.of_rows(_HEADINGS, rows, names=2, texts=2)
-        yield ""
-        for name, verdict in self._verdicts.items():
-            if verdict.reason:
-                reason = of_slide(verdict.reason) if name in self._slides else verdict.reason
-                yield Text(f"{name}: {reason}", style="red")
-            if verdict.sampling_margin > LARGEST_SAMPLING_MARGIN_LATE:
-                yield Text(
-                    f"{name}: T kd lam / m = {verdict.sampling_margin:.2f}: the sampled loop "
-                    f"breaks at {LARGEST_SAMPLING_MARGIN_LATE:g} where an effort comes one period "
-                    f"late, as over a topic, and at {LARGEST_SAMPLING_MARGIN:g} at best",
-                    style="red",
-                )
-            elif verdict.sampling_margin > GOOD_SAMPLING_MARGIN:
-                yield Text(
-                    f"{name}: T kd lam / m = {verdict.sampling_margin:.2f} exceeds "
-                    f"{GOOD_SAMPLING_MARGIN}: sampling will be felt",
-                    style="yellow",
-                )
-        yield Text(
-            "ok: certified at this mu, on a fine grid, for the unsampled loop without floor or "
-            "cap; a loop may well be stable without. rho = m ki / (kp kd); T kd: T kd lam / m, "
-            "without a unit; lam = n^mu up to norm 2; settles [s]: an error of error_scale to a "
-            f"hundredth, at the latest; inertia m [{self._unit_of_inertia()}].",
-            style="dim",
-        )
-
-    def _unit_of_inertia(self) -> str:
-        unit = unit_over("kg m^2", (name in self._slides for name in self._verdicts))
-        slides = [name for name in self._verdicts if name in self._slides]
-        return unit if "," not in unit else f"kg m^2; kg: {', '.join(slides)}"
+@group()
+def gain_table(
+    verdicts: Mapping[str, GainVerdict], slides: Collection[str] = ()
+) -> Iterator[RenderableType]:
+    """Yield one row for each loop, and the reasons below."""
+    rows = [(name, *_cells(verdict)) for name, verdict in verdicts.items()]
+    yield WideTable.of_rows(_HEADINGS, rows, names=2, texts=2)
+    yield ""
+    for name, verdict in verdicts.items():
+        if verdict.reason:
+            reason = of_slide(verdict.reason) if name in slides else verdict.reason
+            yield Text(f"{name}: {reason}", style="red")
+        if verdict.sampling_margin > LARGEST_SAMPLING_MARGIN_LATE:
+            yield Text(
+                f"{name}: T kd lam / m = {verdict.sampling_margin:.2f}: the sampled loop "
+                f"breaks at {LARGEST_SAMPLING_MARGIN_LATE:g} where an effort comes one period "
+                f"late, as over a topic, and at {LARGEST_SAMPLING_MARGIN:g} at best",
+                style="red",
+            )
+        elif verdict.sampling_margin > GOOD_SAMPLING_MARGIN:
+            yield Text(
+                f"{name}: T kd lam / m = {verdict.sampling_margin:.2f} exceeds "
+                f"{GOOD_SAMPLING_MARGIN}: sampling will be felt",
+                style="yellow",
+            )
+    unit = unit_over("kg m^2", (name in slides for name in verdicts))
+    if "," in unit:
+        unit = f"kg m^2; kg: {', '.join(name for name in verdicts if name in slides)}"
+    yield Text(
+        "ok: certified at this mu, on a fine grid, for the unsampled loop without floor or "
+        "cap; a loop may well be stable without. rho = m ki / (kp kd); T kd: T kd lam / m, "
+        "without a unit; lam = n^mu up to norm 2; settles [s]: an error of error_scale to a "
+        f"hundredth, at the latest; inertia m [{unit}].",
+        style="dim",
+    )
 
 
 def _cells(verdict: GainVerdict) -> list[str | Text]:
@@ -114,7 +109,7 @@ def run(options: argparse.Namespace) -> int:
         saved = saved_certificates(options.file)
         if saved:
             return _verify(saved, options.json)
-    file = _loops(options)
+    experiment, file = _loops(options)
     loops = file.loops
     judged = judged_loops(options, file)
     with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as progress:
@@ -123,15 +118,14 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({name: asdict(each) for name, each in by_name.items()}, indent=2))
     else:
-        experiment = loop_file(options.file)[0] if options.file else None
         slides = sliding_joints(options, experiment)
         sliding = [
             name
             for name, settings in zip(by_name, loops.values(), strict=True)
             if settings.joint in slides
         ]
-        output_console().print(GainTable(by_name, sliding))
-    settling = _settling(options, loops)
+        output_console().print(gain_table(by_name, sliding))
+    settling = _settling(options, loops, experiment)
     if not options.json:
         for finding in settling:
             print(finding.text)
@@ -139,15 +133,18 @@ def run(options: argparse.Namespace) -> int:
     return DONE if is_settling and all(each.is_certified for each in verdicts) else FAILED
 
 
-def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) -> list[Settling]:
+def _settling(
+    options: argparse.Namespace,
+    loops: Mapping[str, LoopSettings],
+    experiment: Experiment | None,
+) -> list[Settling]:
     """Find whether decoupled joints that use each other's last efforts settle."""
     decoupled = [each for each in loops.values() if each.model.is_decoupling]
     if not decoupled:
         return []
     from hpid_ros.robot.coupling import settling_of
 
-    is_experiment = options.file and any(" " in name for name in loops)  # LABEL JOINT
-    source = options.urdf or (str(options.file) if is_experiment else "")
+    source = options.urdf or ("" if experiment is None else str(options.file))
     if not source and not all(each.model.description for each in decoupled):
         if not options.json:
             print("whether decoupled joints settle is not known without the robot: give --urdf")
@@ -174,8 +171,8 @@ def _verified(loop: tuple[str, Sequence[Mapping[str, Any]]]) -> Verification:
     return verify(loop[1])
 
 
-def _loops(options: argparse.Namespace) -> ParameterFile:
-    """Return the loops to check by the name to show them under, and inertias by joint."""
+def _loops(options: argparse.Namespace) -> tuple[Experiment | None, ParameterFile]:
+    """Return the loops to check, and their experiment if they are of one."""
     given = {
         parameter: getattr(options, name)
         for name, parameter in GAIN_OPTIONS.items()
@@ -189,13 +186,13 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
     if options.live:
         from hpid_ros.live.graph_client import running_loops
 
-        return ParameterFile(running_loops(), {})
+        return None, ParameterFile(running_loops(), {})
     if options.file:
-        return loop_file(options.file)[1]
+        return loop_file(options.file)
 
     missing = [f"--{name}" for name in "pid" if getattr(options, name) is None]
     if missing:
         raise SettingError(f"gains given as options lack {', '.join(missing)}")
     law = "hpid" if options.mu is not None else "pid"
     loop = LoopSettings.from_parameters({"joint": "joint", "law": law, **given})
-    return ParameterFile({"joint": loop}, {})
+    return None, ParameterFile({"joint": loop}, {})

@@ -30,7 +30,8 @@ from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.messages.run import read_run
 from hpid_ros.report.figures import require_picture
-from hpid_ros.report.margins import MarginTable, margins_figure
+from hpid_ros.report.margins import margin_table, margins_figure
+from hpid_ros.report.plots import render
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.stability.gain_check import Loop, check_gains
 from hpid_ros.stability.margins import LoopFamily, family_margins, loop_family
@@ -72,13 +73,11 @@ def run(options: argparse.Namespace) -> int:
         }
         written[options.json] = json.dumps(document, indent=2) + "\n"
     for name, path in charts.items():
-        from hpid_ros.report.plots import render
-
         figure = margins_figure(name, reports[name])
         written[path] = render(figure, path.suffix.lower().removeprefix("."))
     for path, content in written.items():
         write_output(path, content)
-    output_console().print(MarginTable(reports))
+    output_console().print(margin_table(reports))
     for path in written:
         print(f"written: {path}")
     return DONE if all(each.band.is_stable for each in reports.values()) else FAILED
