@@ -22,7 +22,7 @@ from hpid_ros.control.controller_files import ParameterFile, parameters_from
 from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
 from hpid_ros.experiment.batch import Runner, RunRecord, run_batch
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.experiment.result_folder import ResultFolder, system_errors
 from hpid_ros.metrics.measure import sliding_joints as slides_of_bag
 from hpid_ros.robot.amendments import RobotSection
 from hpid_ros.robot.description import GivenRobot, RobotDescription
@@ -241,11 +241,8 @@ def identified_robot(file: Path) -> GivenRobot | None:
 
 def write_output(path: Path, content: str | bytes) -> None:
     """Write a file that an option names."""
-    try:
+    with system_errors(f"cannot write {path}", SettingError):
         write_file(path, content)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SettingError(f"cannot write {path}: {reason}") from None
 
 
 Range = tuple[float, float]

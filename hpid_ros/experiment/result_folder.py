@@ -51,7 +51,7 @@ def versions() -> dict[str, str]:
 
 
 @contextmanager
-def system_errors(what: str) -> Iterator[None]:
+def system_errors(what: str, kind: type[HpidError] = ExperimentError) -> Iterator[None]:
     """Turn an error of the operating system into one line."""
     try:
         yield
@@ -59,7 +59,7 @@ def system_errors(what: str) -> Iterator[None]:
         raise
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise ExperimentError(f"{what}: {reason}") from None
+        raise kind(f"{what}: {reason}") from None
 
 
 @dataclass

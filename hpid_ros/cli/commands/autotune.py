@@ -26,7 +26,11 @@ from hpid_ros.tuning.upgrade import controller_section
 
 def run(options: argparse.Namespace) -> int:
     """Plan, ask, test, propose, ask, write."""
-    bag = _checked(options)
+    if not options.live:
+        raise SettingError("autotune moves a robot that runs: say --live")
+    if options.output is not None:
+        refuse_output(options.output, force=options.force, inputs=(), option="-o")
+    bag = new_bag(options.bag, "autotune", "--bag", is_dry=options.dry_run)
     graph = running_graph(options.states, options.namespace)
     controller = _controller(graph, options.joint)
     bounds, planned = _planned(options, controller)
@@ -34,7 +38,8 @@ def run(options: argparse.Namespace) -> int:
     _show(console, bounds, planned)
     if options.dry_run:
         return DONE
-    question = f"Have a relay drive {bounds.joint} for about {_duration(planned):.0f} s now"
+    duration = (planned.request.cycles + 2.0) * planned.period + 2.0 * RAMP
+    question = f"Have a relay drive {bounds.joint} for about {duration:.0f} s now"
     if not agreed(question, is_given=options.yes):
         console.print("nothing was moved")
         return FAILED
@@ -50,15 +55,6 @@ def run(options: argparse.Namespace) -> int:
         console.print(line, style="red", soft_wrap=True)
         return INTERRUPTED if ending.is_interrupted else FAILED
     return _propose(console, options, controller, planned, bag)
-
-
-def _checked(options: argparse.Namespace) -> Path:
-    """Return where to record, after what cannot be is refused."""
-    if not options.live:
-        raise SettingError("autotune moves a robot that runs: say --live")
-    if options.output is not None:
-        refuse_output(options.output, force=options.force, inputs=(), option="-o")
-    return new_bag(options.bag, "autotune", "--bag", is_dry=options.dry_run)
 
 
 def _controller(graph: RunningGraph, joint: str | None) -> Controller:
@@ -84,10 +80,6 @@ def _planned(
     wish = RelayWish(options.effort, options.share, options.amplitude, options.cycles)
     period = settings.timing.control_period
     return bounds, planned_relay(bounds, gains.d / gains.p, period, wish)
-
-
-def _duration(planned: PlannedRelay) -> float:
-    return (planned.request.cycles + 2.0) * planned.period + 2.0 * RAMP
 
 
 def _show(console: Console, bounds: JointBounds, planned: PlannedRelay) -> None:

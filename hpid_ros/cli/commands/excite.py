@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -17,7 +15,7 @@ from hpid_ros.cli.options import inertias_from, write_output
 from hpid_ros.cli.terminal import agreed, new_bag, output_console
 from hpid_ros.live.controllers import Controller
 from hpid_ros.live.graph_client import running_graph
-from hpid_ros.live.motion import Ending, Tell, bounds_of, carry_out, chosen
+from hpid_ros.live.motion import Tell, bounds_of, carry_out, chosen
 from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan
 from hpid_ros.report.figures import require_picture
 from hpid_ros.report.table import TableColumn, WideTable
@@ -26,7 +24,10 @@ from hpid_ros.tuning.identification_report import excitation_figure
 
 def run(options: argparse.Namespace) -> int:
     """Plan, show, ask, excite."""
-    bag = _bag(options)
+    if options.plot is not None:
+        require_picture(options.plot)
+        refuse_output(options.plot, force=options.force, inputs=(), option="--plot")
+    bag = new_bag(options.output, "excitation", "-o", is_dry=options.dry_run)
     graph = running_graph(options.states, options.namespace)
     controllers = chosen(graph, options.joint)
     planned = _plan(options, controllers)
@@ -47,18 +48,20 @@ def run(options: argparse.Namespace) -> int:
         return FAILED
     with _progress(console, planned) as tell:
         ending = carry_out(planned, controllers, graph, bag, options.states, tell)
-    code = _told(console, bag, ending)
-    if code == DONE:
-        _advise(console, bag, planned, options)
-    return code
-
-
-def _bag(options: argparse.Namespace) -> Path:
-    """Return where to record, after what cannot be is refused."""
-    if options.plot is not None:
-        require_picture(options.plot)
-        refuse_output(options.plot, force=options.force, inputs=(), option="--plot")
-    return new_bag(options.output, "excitation", "-o", is_dry=options.dry_run)
+    if ending.reason:
+        console.print(f"stopped: {ending.reason}", style="red", soft_wrap=True)
+        if ending.is_at_rest:
+            console.print("the joints are at rest; controllers that run hold them")
+        else:
+            console.print("nobody has seen the joints come to rest", style="red")
+    console.print(f"recorded: {bag}", soft_wrap=True)
+    if ending.is_interrupted or ending.reason:
+        return INTERRUPTED if ending.is_interrupted else FAILED
+    urdf = options.urdf or ("MY.urdf" if count > 1 else "")
+    console.print(f"next: hpid identify {bag}{f' --urdf {urdf}' if urdf else ''}", soft_wrap=True)
+    if count > 1 and not options.together and not options.urdf:
+        console.print(f"or, without a URDF: hpid identify {bag}", soft_wrap=True)
+    return DONE
 
 
 def _plan(options: argparse.Namespace, controllers: Sequence[Controller]) -> ExcitationPlan:
@@ -91,7 +94,10 @@ def _show(console: Console, planned: ExcitationPlan, *, are_together: bool) -> N
     columns = {
         "from": [f"{each.bounds.position:.3f}" for each in joints],
         "+-": [f"{each.peaks.position:.3g}" for each in joints],
-        "room": [f"{_room(each.bounds):.3g}" for each in joints],
+        "room": [
+            f"{min(b.upper - b.position, b.position - b.lower):.3g}"
+            for b in (each.bounds for each in joints)
+        ],
         "speed": [f"{each.peaks.velocity:.3g}" for each in joints],
         "limit": [f"{each.bounds.velocity:.3g}" for each in joints],
         "accel.": [f"{each.peaks.acceleration:.3g}" for each in joints],
@@ -121,10 +127,6 @@ def _show(console: Console, planned: ExcitationPlan, *, are_together: bool) -> N
             console.print(f"{each.bounds.joint}: {note}", style="yellow", soft_wrap=True)
 
 
-def _room(bounds: Any) -> float:
-    return float(min(bounds.upper - bounds.position, bounds.position - bounds.lower))
-
-
 @contextmanager
 def _progress(console: Console, planned: ExcitationPlan) -> Iterator[Tell]:
     columns = (
@@ -143,31 +145,3 @@ def _progress(console: Console, planned: ExcitationPlan) -> Iterator[Tell]:
             shown.update(task, completed=seconds, doing=doing, seconds=f"{seconds:.1f}")
 
         yield told
-
-
-def _told(console: Console, bag: Path, ending: Ending) -> int:
-    if ending.reason:
-        console.print(f"stopped: {ending.reason}", style="red", soft_wrap=True)
-        if ending.is_at_rest:
-            console.print("the joints are at rest; controllers that run hold them")
-        else:
-            console.print("nobody has seen the joints come to rest", style="red")
-    console.print(f"recorded: {bag}", soft_wrap=True)
-    if ending.is_interrupted:
-        return INTERRUPTED
-    return FAILED if ending.reason else DONE
-
-
-def _advise(
-    console: Console,
-    bag: Path,
-    planned: ExcitationPlan,
-    options: argparse.Namespace,
-) -> None:
-    """Say what to do with the bag."""
-    one_by_one = len(planned.joints) > 1 and not options.together
-    urdf = options.urdf or ("MY.urdf" if len(planned.joints) > 1 else "")
-    flag = f" --urdf {urdf}" if urdf else ""
-    console.print(f"next: hpid identify {bag}{flag}", soft_wrap=True)
-    if one_by_one and not options.urdf:
-        console.print(f"or, without a URDF: hpid identify {bag}", soft_wrap=True)

@@ -33,13 +33,20 @@ from hpid_ros.tuning.plugin_export import package_files, require_package
 
 def run(options: argparse.Namespace) -> int:
     """Export, then write: all files or, where one cannot be, none."""
-    chosen = _chosen(_loops(options.file, options.controller), options.joint)
+    experiment, parameters = loop_file(options.file)
+    label, loops = options.controller, list(parameters.loops.values())
+    if label is not None:
+        require_controller(experiment, label, options.file)
+    if experiment is not None:
+        loops = list(experiment.controllers[label] if label else first_homogeneous(experiment))
+    require_joints(options.joint, loops)
+    chosen = [each for each in loops if not options.joint or each.joint in options.joint]
     loops = _within_robot(options, chosen)
     require_distinct([each.joint for each in loops])
     if options.output.exists() and not options.output.is_dir():
         raise SettingError(f"{options.output} is no folder; name one with -o")
     if options.ros2_control:
-        return _export_plugin(options, loops)
+        return _export_plugin(options, loops, parameters.inertias)
     _refuse_in_the_way(options, [name for loop in loops for name in file_names(loop.joint)])
     files = [c_files(each, options.precision, options.file.name) for each in loops]
     for each in files:
@@ -51,16 +58,17 @@ def run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _export_plugin(options: argparse.Namespace, loops: Sequence[LoopSettings]) -> int:
+def _export_plugin(
+    options: argparse.Namespace, loops: Sequence[LoopSettings], inertias: Mapping[str, float]
+) -> int:
     if options.precision != "double":
         raise SettingError("--precision single is for --c: ros2_control computes in double")
     package = options.output.resolve().name
     require_package(package, [each.joint for each in loops])
     _refuse_in_the_way(options, ["package.xml", "config/joints.yaml"])
-    _, parameters = loop_file(options.file)
     joints = [each.joint for each in loops]
     without_robot = argparse.Namespace(**{**vars(options), "urdf": None})
-    known = inertias_from(options, joints) | parameters.inertias
+    known = {**inertias_from(options, joints), **inertias}
     known |= inertias_from(without_robot, joints)
     judged = [(each, inertia_of(each, known.get(each.joint))) for each in loops]
     print(
@@ -84,25 +92,7 @@ def _write(folder: Path, files: Mapping[str, str]) -> None:
         write_output(folder / name, text)
 
 
-def _loops(file: Path, label: str | None) -> Sequence[LoopSettings]:
-    """Return the loops of one controller."""
-    experiment, parameters = loop_file(file)
-    if label is not None:
-        require_controller(experiment, label, file)
-    if experiment is None:
-        return list(parameters.loops.values())
-    return experiment.controllers[label] if label else first_homogeneous(experiment)
-
-
-def _chosen(loops: Sequence[LoopSettings], joints: Sequence[str]) -> list[LoopSettings]:
-    """Return the loops of the joints that are named, or all if none is."""
-    require_joints(joints, loops)
-    return [each for each in loops if not joints or each.joint in joints]
-
-
-def _within_robot(
-    options: argparse.Namespace, loops: Sequence[LoopSettings]
-) -> Sequence[LoopSettings]:
+def _within_robot(options: argparse.Namespace, loops: list[LoopSettings]) -> list[LoopSettings]:
     """Return loops within the limits of the robot that ``--urdf`` names."""
     if options.urdf is None:
         sections = node_sections(load_document(options.file, SettingError).values)

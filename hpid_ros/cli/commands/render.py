@@ -16,7 +16,7 @@ from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import progress, write_output
 from hpid_ros.cli.terminal import output_console, print_result_places
-from hpid_ros.experiment.result_folder import ResultFolder, reopened
+from hpid_ros.experiment.result_folder import ResultFolder, reopened, system_errors
 from hpid_ros.report.film import (
     Film,
     FilmSettings,
@@ -87,11 +87,8 @@ def report_page(result: Path) -> str:
     from hpid_ros.report.page import require_place
 
     report = result / REPORT
-    try:
+    with system_errors(f"cannot read {report}", SettingError):
         page = report.read_text(encoding="utf-8")
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SettingError(f"cannot read {report}: {reason}") from None
     require_place(page)
     return page
 
