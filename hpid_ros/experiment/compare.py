@@ -55,8 +55,8 @@ from hpid_ros.metrics.task import (
     task_notes,
 )
 from hpid_ros.motion.references import BrickGoal
-from hpid_ros.report.export import engine_grids, engines_csv
-from hpid_ros.report.table import Grid, grids_text, slides_note
+from hpid_ros.report.export import engine_grids, engines_csv, table_csv, table_latex
+from hpid_ros.report.table import Grid, grids_text, slides_note, table_text
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 from hpid_ros.simulation.gripper import (
@@ -268,8 +268,6 @@ def save_numbers(
     result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str
 ) -> None:
     """Write the numbers of a result: indices and table, and how long everything took."""
-    from hpid_ros.report.table import table_text
-
     folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
     notes = "".join(f"{note}\n" for note in result.notes)
     folder.write("table.txt", table_text(result.comparison) + notes)
@@ -284,7 +282,6 @@ def save_timing(folder: ResultFolder, reports: Sequence[RunReport], how: str) ->
 
 def save(result: Result, folder: ResultFolder, how: str) -> None:
     """Write the tables and the report of a result whose numbers are saved."""
-    from hpid_ros.report.export import table_csv, table_latex
     from hpid_ros.report.page import render_report
 
     folder.write("table.csv", table_csv(result.comparison))

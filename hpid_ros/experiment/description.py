@@ -23,7 +23,7 @@ from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.motion.references import BrickPlan, planned_reference, task_schema
 from hpid_ros.robot.compensation import robot_xml, with_inertia
 from hpid_ros.robot.description import JointDescription, RobotDescription, robot_source
-from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.dynamics import Dynamics, wheel_inertias
 from hpid_ros.simulation.settings import ENGINES, WorldSettings
 from hpid_ros.simulation.world_file import WORLD_SECTIONS, read_world, world_schema
 
@@ -386,8 +386,6 @@ def initial_inertias(
     An arm's joint has 1 / (M^-1)_jj on a base that is held, a wheel of a base that of the robot
     that rolls on it with its arm held, with the payload that the experiment begins with.
     """
-    from hpid_ros.robot.dynamics import wheel_inertias
-
     world = experiment.world
     description = RobotDescription.load(world.robot_description)
     payload = world.payload_mass, world.payload_link

@@ -8,8 +8,7 @@ import re
 import select
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -233,13 +232,20 @@ def run_on_graph(
         ) as group,
     ):
         run = _GraphRun(nodes, label, group, progress)
-        with _bag_closed(group, nodes if options.is_recorded else None):
-            run.start()
+        try:
+            progress.phase(label, "starting the nodes")
+            nodes.start(group)
             start_within = _START_WITHIN + _START_EACH * len(group.nodes)
             run.wait_for("started", nodes.bridge, start_within, "every node to find the others")
             begun.append(time.monotonic())
             run.wait_for("finished", nodes.bridge, None, "the last state")
             begun.append(time.monotonic())
+        except BaseException:
+            if (
+                options.is_recorded and nodes.recorder in group.nodes
+            ):  # it has its time all the same
+                group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
+            raise
         if options.is_recorded:
             run.wait_until_recorded(_RECORD_WITHIN)
             # First, so that the zero efforts with which the controllers leave are not in the bag.
@@ -259,17 +265,6 @@ def run_on_graph(
         return RunReport(label, wall_time, states, processes, run.warnings, timing, spent)
 
 
-@contextmanager
-def _bag_closed(group: NodeGroup, nodes: GraphNodes | None) -> Iterator[None]:
-    """Give the recorder its time where something ends a run early."""
-    try:
-        yield
-    except BaseException:
-        if nodes is not None and nodes.recorder in group.nodes:
-            group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
-        raise
-
-
 class _GraphRun:
     """Watches the nodes of one run through their event pipes."""
 
@@ -283,10 +278,6 @@ class _GraphRun:
         self.warnings: list[str] = []
         self._excused: set[str] = set()
         self._closed: set[str] = set()
-
-    def start(self) -> None:
-        self._progress.phase(self._label, "starting the nodes")
-        self._nodes.start(self._group)
 
     def wait_for(self, event: str, node: str, within: float | None, what: str) -> None:
         """Wait for an event of a node."""

@@ -386,14 +386,14 @@ class SweepResult:
 _NOTHING = "-"
 
 
+@dataclass(frozen=True)
 class SweepTable:
     """Rows are points; columns are parameters, then median, quartiles and ratio of each index.
 
     Indices stand side by side as far as the width allows.
     """
 
-    def __init__(self, result: SweepResult) -> None:
-        self.result = result
+    result: SweepResult
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         sweep, table = self.result.sweep, self.result.table

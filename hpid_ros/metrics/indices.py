@@ -96,20 +96,17 @@ def total_variation(u: ArrayLike) -> float:
 
 def integral_of_absolute(t: ArrayLike, x: ArrayLike) -> float:
     r"""Integral of an absolute value, :math:`\int |x|\,dt`: IAVC of an effort, IAE of an error."""
-    times, samples = _lines(t, x)
-    return _trapezoid(times, samples, lambda t, x: np.abs(x))
+    return _trapezoid(t, x, lambda t, x: np.abs(x))
 
 
 def itae(t: ArrayLike, e: ArrayLike) -> float:
     r"""Integral of the time-weighted absolute error, :math:`\int t |e|\,dt`."""
-    times, samples = _lines(t, e)
-    return _trapezoid(times, samples, lambda t, x: t * np.abs(x))
+    return _trapezoid(t, e, lambda t, x: t * np.abs(x))
 
 
 def square_integral(t: ArrayLike, x: ArrayLike) -> float:
     r"""Integral of a square, :math:`\int x^2\,dt`: ISE of an error."""
-    times, samples = _lines(t, x)
-    return _trapezoid(times, samples, lambda t, x: np.square(x))
+    return _trapezoid(t, x, lambda t, x: np.square(x))
 
 
 def l2_norm(t: ArrayLike, x: ArrayLike) -> float:
@@ -125,18 +122,21 @@ def root_mean_square(t: ArrayLike, x: ArrayLike) -> float:
     span = float(times[-1] - times[0])
     if span == 0.0:
         return abs(float(samples[0]))
-    return math.sqrt(_trapezoid(times, samples, lambda t, x: np.square(x)) / span)
+    return math.sqrt(square_integral(times, samples) / span)
 
 
-def _trapezoid(t: Numbers, x: Numbers, integrand: Callable[[Numbers, Numbers], Numbers]) -> float:
+def _trapezoid(
+    t: ArrayLike, x: ArrayLike, integrand: Callable[[Numbers, Numbers], Numbers]
+) -> float:
     """Integrate a function of time and samples; only a block of it is ever in memory."""
+    times, samples = _lines(t, x)
 
     # numpy's own rule changed its name between 1.26 and 2, and sums in an order of its own.
     def areas() -> Iterator[Numbers]:
-        for times, samples in zip(_blocks(t), _blocks(x), strict=True):
+        for some_times, some in zip(_blocks(times), _blocks(samples), strict=True):
             with np.errstate(over="ignore", invalid="ignore"):  # the sum refuses what comes of it
-                y = integrand(times, samples)
-                area = 0.5 * np.diff(times) * (y[1:] + y[:-1])
+                y = integrand(some_times, some)
+                area = 0.5 * np.diff(some_times) * (y[1:] + y[:-1])
             yield area
 
     return exact_sum_of_blocks(areas())
