@@ -144,10 +144,7 @@ def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
 
 
 def simulated(task: RunTask, keeper: WorldKeeper) -> RunRecord:
-    """Run a task and return its numbers.
-
-    They equal those that ``hpid compare`` computes from its bags, to the last bit.
-    """
+    """Run a task and return its numbers: to the last bit those of ``hpid compare``."""
     return task.record(simulate(task, keeper))
 
 

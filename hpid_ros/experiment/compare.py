@@ -112,11 +112,7 @@ def _reference_poses(
 
 
 def brick_figures(experiment: Experiment, bag: BagMessages) -> tuple[BrickFigures, ...]:
-    """Return what became of each brick.
-
-    What the gripper did is on ``grip_events``; where the bricks lie at the end is the last
-    message on ``brick_poses``.
-    """
+    """Return what became of each brick, by what the gripper did and where they lie at the end."""
     events, poses = bag.statuses(GRIP_EVENTS), bag.poses(BRICK_POSES)
     goals = {goal.name: goal for goal in experiment.plan.goals} if experiment.plan else {}
     figures = []

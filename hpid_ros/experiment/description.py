@@ -254,7 +254,6 @@ class Experiment:
         return {name: joints[name].friction for name in self.world.joints}
 
     def are_slides(self, joints: Sequence[str]) -> tuple[bool, ...]:
-        """Return of each of these joints whether it slides."""
         slides = self.slides
         return tuple(joint in slides for joint in joints)
 

@@ -280,7 +280,6 @@ class _GraphRun:
         self._closed: set[str] = set()
 
     def wait_for(self, event: str, node: str, within: float | None, what: str) -> None:
-        """Wait for an event of a node."""
         self._wait(lambda: (node, event) in self.events, within, lambda: what)
 
     def wait_until_recorded(self, within: float) -> None:

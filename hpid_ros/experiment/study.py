@@ -248,10 +248,7 @@ class StudyResult:
         }
 
     def refusals(self, entry: StudyEntry, label: str) -> dict[str, str]:
-        """Return why loops are not certified at their degree and inertia, by joint.
-
-        A loop whose inertia is not known is named as such.
-        """
+        """Return why loops are not certified at their degree and inertia, by joint."""
         reasons: dict[str, str] = {}
         for each in entry.experiment.controllers[label]:
             if each.joint in entry.joints:
@@ -338,10 +335,7 @@ NOTHING = "-"
 
 
 def grids(result: StudyResult) -> list[Grid]:
-    """Return all tables of a study: claims, loops, then of each experiment totals and joints.
-
-    What was run in both engines is compared after the claims.
-    """
+    """Return all tables: claims, both engines, loops, of each experiment totals and joints."""
     entries = result.plan.entries
     found = [_claims(result, label) for label in result.claimed_labels()]
     totals = result.engine_totals()

@@ -388,10 +388,7 @@ _NOTHING = "-"
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Rows are points; columns are parameters, then median, quartiles and ratio of each index.
-
-    Indices stand side by side as far as the width allows.
-    """
+    """Rows are points; columns are parameters, then median, quartiles and ratio of each index."""
 
     result: SweepResult
 

@@ -175,7 +175,6 @@ class Comparison:
 
     @property
     def angle_unit(self) -> str:
-        """The unit of angles in all numbers."""
         return self.baseline.angle_unit
 
     @property
@@ -193,17 +192,13 @@ class Comparison:
         return tuple(self.baseline.joints)
 
     def run(self, label: str) -> RunIndices:
-        """Return the run of that label."""
         for run in self.runs:
             if run.label == label:
                 return run
         raise SeriesError(unknown_name("run", label, [run.label for run in self.runs]))
 
     def ratio(self, label: str, quantity: Quantity, joint: str | None = None) -> float:
-        """Return one number of a run divided by the baseline's, see :func:`ratio`.
-
-        It is nan where one of the two is not defined, or the runs differ in what it depends on.
-        """
+        """Return :func:`ratio` to the baseline's; nan where runs differ in what it depends on."""
         run = self.run(label)
         value, of_baseline = run.value(quantity, joint), self.baseline.value(quantity, joint)
         if any(quantity.key in each.spoils for each in self.differences(label)):
@@ -234,10 +229,7 @@ class Comparison:
         return {quantity: verdict(self.ratio(label, quantity)) for quantity in PAPER}
 
     def worse_joints(self, label: str) -> dict[Quantity, tuple[int, int]]:
-        """Return in how many joints each of the paper's numbers got worse, and of how many.
-
-        Without those that no joint has a ratio of.
-        """
+        """Return in how many of the joints with a ratio each of the paper's numbers got worse."""
         counts = {}
         for quantity in PAPER:
             kinds = [verdict(self.ratio(label, quantity, joint)) for joint in self.joint_names]
@@ -331,10 +323,7 @@ def verdict(ratio: float) -> Verdict:
 
 
 def answer(comparison: Comparison) -> str:
-    """Return the comparison in a few sentences for each run: better in what, and worse in what.
-
-    A single run has its own numbers instead.
-    """
+    """Return in sentences what each run is better and worse in, or a single run's numbers."""
     if not comparison.others:
         sentences = [_figures(comparison.baseline)]
     else:

@@ -42,10 +42,7 @@ def exact_sum(values: Numbers) -> float:
 
 
 def exact_sum_of_blocks(blocks: Iterable[Numbers]) -> float:
-    """Return the sum of all numbers of some arrays, rounded once.
-
-    The sum of a long array that is computed block by block is never there as a whole.
-    """
+    """Return the sum of all numbers of some arrays, rounded once; one at a time is in memory."""
     parts: list[float] = []
     for values in blocks:
         if not np.isfinite(values).all():

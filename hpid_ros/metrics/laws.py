@@ -25,10 +25,7 @@ _HEADER = 12  # bytes of an encapsulation header and a stamp
 
 
 def read_retunes(path: Path) -> tuple[Retune, ...]:
-    """Return what was set at the controllers of a bag, each with the state before it.
-
-    Parameters that a node declares when it starts are no changes.
-    """
+    """Return what was set at controllers that ran, each with the state before it."""
     with Storage(path) as bag:
         topics = bag.topics()
         states = [name for name, topic in topics.items() if topic.type == JOINT_STATE]

@@ -121,7 +121,6 @@ class PoseDeviation:
 
     @classmethod
     def of(cls, distances: Numbers, angles: Numbers) -> PoseDeviation:
-        """Return the figures of deviations."""
         if not len(distances) or len(distances) != len(angles):
             raise SeriesError(
                 f"a deviation needs one distance and one angle for each instant, got "
@@ -146,7 +145,6 @@ class EndEffectorFigures:
     truth: PoseDeviation | None = None  # by its true pose, against the reference
 
     def line(self, label: str) -> str:
-        """Return one line for people."""
         text = f"{label}: {self.link} in {self.frame}: {_deviation(self.tracking)}"
         return text if self.truth is None else f"{text}; in truth {_deviation(self.truth)}"
 
@@ -181,7 +179,6 @@ class BrickFigures:
         return mapping
 
     def line(self, label: str) -> str:
-        """Return one line for people."""
         outcome = "lost" if self.lost else "carried" if self.grasped else "not grasped"
         text = f"{label}: brick {self.name} {outcome}"
         if self.reason:
@@ -286,7 +283,6 @@ class EndEffector:
         return EndEffectorFigures(self._frame.link, self.frame, tracking, true)
 
     def path(self, points: int) -> EndEffectorPath:
-        """Return the paths for a figure."""
         every = np.arange(0, len(self._stamps_ns), max(1, len(self._stamps_ns) // points))
         reference, position = (self._poses(what, every) for what in ("reference", "position"))
         return EndEffectorPath(self._label, reference.positions, position.positions)

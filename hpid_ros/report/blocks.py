@@ -82,11 +82,6 @@ class PlainTable:
         """Which columns hold something else than numbers."""
         return [not all(_is_number(row[k]) for row in self.rows) for k in range(len(self.columns))]
 
-    @property
-    def printed_columns(self) -> int:
-        """How many columns the size of type on paper is chosen for."""
-        return _printed(len(self.columns))
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -121,8 +116,6 @@ class Title:
 
 @dataclass(frozen=True)
 class IndexRow:
-    """A row of an index table."""
-
     title: str | Title  # a joint, or a quantity
     groups: Sequence[Sequence[Cell]]  # cells that belong together, those of one quantity
 
@@ -139,11 +132,6 @@ class IndexTable:
     total: IndexRow | None = None  # the last one, below a line; None if there is none
     groups: Sequence[Title] = ()  # quantities above the headings
     columns: int = 0  # beside the rows' titles, for the size of type on paper
-
-    @property
-    def printed_columns(self) -> int:
-        """How many columns the size of type on paper is chosen for."""
-        return _printed(self.columns)
 
 
 @dataclass(frozen=True)
@@ -171,7 +159,8 @@ def value_text(value: object) -> str:
     return str(value)
 
 
-def _printed(columns: int) -> int:
+def printed_columns(columns: int) -> int:
+    """Return how many columns the size of type on paper is chosen for."""
     return max((each for each in _PRINTED_COLUMNS if each <= columns), default=0)
 
 

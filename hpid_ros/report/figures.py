@@ -49,8 +49,6 @@ REFERENCE = "#b4bac4"
 
 @dataclass(frozen=True)
 class RunStyle:
-    """The line of one run."""
-
     color: str  # its colour
     tint: str  # the colour of the gaps between its dashes
     dashes: tuple[float, ...] | None  # [pt] lengths of dashes and gaps, or None for a solid line
@@ -167,10 +165,7 @@ def figures_of(
     gains: Gains | None = None,
     paths: Sequence[EndEffectorPath] = (),
 ) -> list[Figure]:
-    """Return all figures that can be drawn, each line of at most so many samples.
-
-    One that would be empty, for want of any reference or effort, is left out.
-    """
+    """Return all figures that would not be empty, each line of at most so many samples."""
     figures = list(_RunFigures(comparison, runs, samples, gains or {}).all()) if runs else []
     numbers = [[run.value(each) for each in (ITAE, IVC, IAVC)] for run in comparison.runs]
     if comparison.others and any(not any(map(math.isnan, each)) for each in numbers):
@@ -184,8 +179,6 @@ SignalOf = Callable[[JointSeries], Signal]
 
 
 class _RunFigures:
-    """The figures of recordings."""
-
     def __init__(
         self, comparison: Comparison, runs: Sequence[RunSeries], samples: int, gains: Gains
     ) -> None:
@@ -202,7 +195,6 @@ class _RunFigures:
         ]
 
     def all(self) -> Iterator[Figure]:
-        """Yield the figures."""
         runs = [run for _, run in self._runs]
         has_errors, has_efforts = has_any(runs, Data.REFERENCE), has_any(runs, Data.EFFORT)
         yield self._positions("Positions and reference" if has_errors else "Positions")
@@ -345,10 +337,7 @@ class _RunFigures:
 
 
 def _trade_off(comparison: Comparison, repeats: Sequence[RunIndices]) -> Figure:
-    """Return the error over the effort's variation and over the effort spent.
-
-    Medians carry bars from quartile to quartile.
-    """
+    """Return the error over the effort's variation and effort spent, with bars of quartiles."""
     labels = [run.label for run in comparison.runs]
     error = f"{ITAE.meaning}, {ITAE.symbol} [{comparison.unit(ITAE)}]"
     panels = []

@@ -54,7 +54,6 @@ def margin_table(reports: Mapping[str, LoopReport]) -> Iterator[RenderableType]:
 
 
 def _rows(name: str, report: LoopReport) -> list[list[str]]:
-    """Return the rows of one loop."""
     family = report.family
     period = family.settings.timing.control_period
     if not family.is_homogeneous:
@@ -280,7 +279,6 @@ def _handles(family: LoopFamily, lines: _Lines) -> list[Line2D]:
 
 
 def _draw_ends(panel: Axes, lines: _Lines, x: list[Numbers], y: list[Numbers]) -> None:
-    """Draw the ends of the band."""
     looks = (_MOVING, _AT_REST) if lines.is_greatest_at_rest else (_AT_REST, _MOVING)
     for end, look in zip((0, -1), looks, strict=True):
         panel.plot(x[end], y[end], zorder=3, **look)

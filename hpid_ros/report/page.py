@@ -40,6 +40,7 @@ from hpid_ros.report.blocks import (
     losses,
     norm_table,
     parameter_tables,
+    printed_columns,
     retunes,
 )
 from hpid_ros.report.figures import (
@@ -240,6 +241,7 @@ def _templates() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["superscripts"] = _superscripts
+    environment.filters["printed"] = printed_columns
     environment.globals["spoken"] = SPOKEN
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     return environment

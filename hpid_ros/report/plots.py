@@ -99,7 +99,6 @@ def drawn(figure: Figure, labels: Sequence[str]) -> Drawing:
 
 
 def draw_panel(place: Axes, figure: Figure, panel: Panel) -> None:
-    """Draw a panel into its place."""
     place.set_title(figure_text(panel.title))
     place.set(xlabel=_with_powers(panel.x), ylabel=_with_powers(panel.y))
     if figure.kind == "frequency":
@@ -200,10 +199,7 @@ def _with_powers(text: str) -> str:
 
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the places of the points that no other point beats in both costs.
-
-    Of equal points the first is there; one that is not finite is not.
-    """
+    """Return the places of the finite points that no other beats in both costs, of equals one."""
     finite = [k for k, point in enumerate(points) if all(map(math.isfinite, point))]
     front: list[int] = []
     least = math.inf
@@ -220,8 +216,6 @@ SHOWN_UP_TO = 6.0  # points so many times worse than the baseline in either cost
 
 
 class SearchPoints(NamedTuple):
-    """The points of one search."""
-
     label: str  # name of the search
     ratios: Sequence[Mapping[str, float]]  # of each point, each index over the baseline's, by key
     best: int | None  # place of the point that it chose; None if it chose none

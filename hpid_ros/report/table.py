@@ -157,8 +157,6 @@ _LEAST_TEXT = 20
 
 
 class TableColumn(NamedTuple):
-    """One column of a table."""
-
     heading: str
     cells: Sequence[str | Text]  # one for each row
     is_text: bool = False  # whether it is text, which may fold; else its cells are numbers
@@ -497,7 +495,6 @@ class _Blocks:
         return [*dim, *(Text(line) for line in (*comparison.notes, *footnotes(comparison)))]
 
     def names(self, quantities: Sequence[Quantity]) -> TableColumn:
-        """Return the names of the rows."""
         names = [Text(shown(name)) for name in self._comparison.joint_names]
         return TableColumn("joint", [*names, Text(total_name(quantities))], is_text=True)
 

@@ -138,7 +138,6 @@ def _families(
 
 
 def _given_friction(texts: Sequence[Sequence[str]], joints: Sequence[str]) -> dict[str, float]:
-    """Return what ``--friction`` says, by joint."""
     of_all: dict[str, float] = {}
     of_one: dict[str, float] = {}
     for text in (each for group in texts for each in group):

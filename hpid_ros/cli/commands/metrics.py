@@ -48,7 +48,6 @@ def bag_selection(
     reference: Reference = "auto",
     separates_runs: bool = False,
 ) -> BagSelection:
-    """Return what the options choose."""
     return BagSelection(
         joints=joints,
         namespace=options.namespace,

@@ -104,7 +104,6 @@ def save_in_report(folder: ResultFolder, film: Film) -> None:
 
 
 def _settings(options: argparse.Namespace) -> FilmSettings:
-    """Return what the options say."""
     size = _SIZE.fullmatch(options.size)
     if size is None:
         raise SettingError(f"--size {options.size!r} must be WIDTHxHEIGHT, for instance 720x450")

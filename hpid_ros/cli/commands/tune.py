@@ -68,7 +68,6 @@ def _least_cost(advanced: Callable[[str], None]) -> Callable[[Evaluation], None]
 
 
 def _plan(options: argparse.Namespace) -> SearchPlan:
-    """Return the search that the options ask for."""
     experiment = experiment_to_run(options)
     for joint in options.joint:
         if joint not in experiment.world.joints:
