@@ -97,8 +97,8 @@ def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[Loo
         own_changes = _by_joint(compared.section(label), world)
         loops = []
         for joint, counts in zip(joints, world.counts, strict=True):
-            one, change = own.get(joint.name), own_changes.get(joint.name)
-            layers = (common, one or _NOTHING, changes, change or _NOTHING)
+            one, change = (each.get(joint.name, _NOTHING) for each in (own, own_changes))
+            layers = (common, one, changes, change)
             loops.append(_settings(label, joint, counts, world, layers))
         result[label] = tuple(loops)
     return result

@@ -7,7 +7,7 @@ rate or reference have no ratios: their numbers stand beside each other and say 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -23,6 +23,7 @@ from hpid_ros.metrics.results import (
     Difference,
     RunIndices,
     differences,
+    for_json,
 )
 
 
@@ -44,7 +45,8 @@ def run_differences(one: RunIndices, other: RunIndices) -> Iterator[Difference]:
     """Yield what two runs do not share of conditions and of what their numbers stand on."""
     for data in Data:
         if (data in one.assumed) != (data in other.assumed) and not _lacks(data, one, other):
-            texts = (f"{run.label}'s is {_source(run, data)}" for run in (one, other))
+            usual = {Data.REFERENCE: "recorded", Data.EFFORT: "commanded"}[data]
+            texts = (f"{run.label}'s is {run.assumed.get(data, usual)}" for run in (one, other))
             keys = (key for key, each in QUANTITIES.items() if each.needs is data)
             yield Difference(f"{data.value}: {', '.join(texts)}", frozenset(keys))
     if one.conditions is None or other.conditions is None:
@@ -57,11 +59,6 @@ def run_differences(one: RunIndices, other: RunIndices) -> Iterator[Difference]:
 def _lacks(data: Data, *runs: RunIndices) -> bool:
     """Return whether all joints of a run lack something: there is nothing to compare then."""
     return any(all(data in run.lacking.get(joint, {}) for joint in run.joints) for run in runs)
-
-
-def _source(run: RunIndices, data: Data) -> str:
-    recorded = {Data.REFERENCE: "recorded", Data.EFFORT: "commanded"}
-    return run.assumed.get(data, recorded[data])
 
 
 SHORTEST = 0.1  # [s] shorter common times say nothing of whole motions: runs are left as they are
@@ -279,25 +276,16 @@ class Comparison:
         return mapping
 
     def _ratios(self, label: str) -> dict[str, object]:
-        def finite(quantity: Quantity, joint: str | None = None) -> float | None:
-            value = self.ratio(label, quantity, joint)
-            return value if math.isfinite(value) else None
+        run = self.run(label)
+        shared = [each for each in self.baseline.quantities if each in run.quantities]
 
-        shared = self._shared(self.run(label))
-        joints = {
-            name: {q.key: finite(q, name) for q in shared if self._is_defined(label, q, name)}
-            for name in self.joint_names
-        }
-        of_all = [q for q in shared if q not in NORMS and self._is_defined(label, q)]
-        totals = {quantity.key: finite(quantity) for quantity in of_all}
-        norms = {q.key: finite(q) for q in NORMS if self._is_defined(label, q)}
-        return {"joints": joints, "totals": totals, **norms}
+        def ratios(quantities: Iterable[Quantity], joint: str | None = None) -> dict[str, object]:
+            found = {each.key: self.ratio(label, each, joint) for each in quantities}
+            return {key: for_json(value) for key, value in found.items() if not math.isnan(value)}
 
-    def _shared(self, run: RunIndices) -> list[Quantity]:
-        return [q for q in self.baseline.quantities if q in run.quantities]
-
-    def _is_defined(self, label: str, quantity: Quantity, joint: str | None = None) -> bool:
-        return not math.isnan(self.ratio(label, quantity, joint))
+        joints = {name: ratios(shared, name) for name in self.joint_names}
+        totals = ratios(each for each in shared if each not in NORMS)
+        return {"joints": joints, "totals": totals, **ratios(NORMS)}
 
 
 def ratio(value: float, baseline: float) -> float:

@@ -12,7 +12,7 @@ from hpid_ros.base.text import shown
 from hpid_ros.messages.series import DataQuality, JointSeries, RunSeries, SeriesError, StampQuality
 from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import NORMS, Data, Quantity
-from hpid_ros.metrics.results import RunIndices, Spread
+from hpid_ros.metrics.results import RunIndices, Spread, for_json
 
 SMALL = 0.05  # an error below this is small for any joint, in [rad]
 SHARE_OF_RANGE = 0.1  # so is one below this share of the reference's range
@@ -261,16 +261,11 @@ def engine_mapping(totals: Iterable[EngineTotal]) -> dict[str, object]:
         of_experiment.setdefault(total.controller, {})[total.quantity.key] = {
             "values": _medians(total.values),
             "ratios": _medians(total.ratios),
-            "distance": _plain(total.distance),
-            "largest_distance": _plain(total.largest_distance),
+            "distance": for_json(total.distance),
+            "largest_distance": for_json(total.largest_distance),
         }
     return {**found}
 
 
 def _medians(numbers: Mapping[str, BySeed]) -> dict[str, float | None]:
-    return {engine: _plain(median(list(each.values()))) for engine, each in numbers.items()}
-
-
-def _plain(value: float | None) -> float | None:
-    """Return a number for JSON, which knows no infinity."""
-    return value if value is not None and math.isfinite(value) else None
+    return {engine: for_json(median(list(each.values()))) for engine, each in numbers.items()}

@@ -355,7 +355,7 @@ def find_steps(series: JointSeries) -> list[Step]:
             start = float(reference[begin - 1])
         steps.append(Step(begin, stop, start, float(reference[begin])))
     highest = max((abs(step.height) for step in steps), default=0.0)
-    least = max(LEAST_HEIGHT, LEAST_SHARE * max(highest, _range(reference)))
+    least = max(LEAST_HEIGHT, LEAST_SHARE * max(highest, float(np.ptp(reference))))
     return [step for step in steps if abs(step.height) >= least]
 
 
@@ -395,10 +395,6 @@ def step_response(series: JointSeries, step: Step) -> StepResponse:
         overshoot=100.0 * max(0.0, float(progress.max()) - 1.0),
         steady_state_error=abs(exact_sum(error)) / error.size,
     )
-
-
-def _range(values: Numbers) -> float:
-    return float(values.max() - values.min())
 
 
 def _first_crossing(t: Numbers, x: Numbers, level: float) -> float:

@@ -217,14 +217,14 @@ class RunIndices:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the numbers with their units as plain dicts, ready for JSON."""
-        totals = {key: _for_json(value) for key, value in self.totals.items()}
+        totals = {key: for_json(value) for key, value in self.totals.items()}
         norms = {each.key: totals.pop(each.key) for each in NORMS if each.key in totals}
         mapping: dict[str, object] = {"label": self.label, "units": self._units()}
         if self.slides:
             mapping["slides"] = [name for name in self.joints if name in self.slides]
             mapping["joint_units"] = {name: self._units(name) for name in self.joints}
         mapping["joints"] = {
-            name: {key: _for_json(value) for key, value in numbers.items()}
+            name: {key: for_json(value) for key, value in numbers.items()}
             for name, numbers in self.joints.items()
         }
         mapping |= {"totals": totals, **norms}
@@ -246,7 +246,7 @@ class RunIndices:
             mapping["repeats"] = self.spread.repeats
             mapping["quartiles"] = {
                 "totals" if joint is None else f"joints.{joint}": {
-                    key: [_for_json(end) for end in pair] for key, pair in quartiles.items()
+                    key: [for_json(end) for end in pair] for key, pair in quartiles.items()
                 }
                 for joint, quartiles in self.spread.quartiles.items()
             }
@@ -256,9 +256,9 @@ class RunIndices:
         return {each.key: self.unit(each, joint) for each in self.quantities}
 
 
-def _for_json(value: float) -> float | None:
+def for_json(value: float | None) -> float | None:
     """Return a number for JSON, which knows no infinity."""
-    return value if math.isfinite(value) else None
+    return value if value is not None and math.isfinite(value) else None
 
 
 DEFAULT_CUTOFF = 20.0  # [Hz] above what motions of an arm hold, below what its drives follow
