@@ -249,9 +249,7 @@ Range = tuple[float, float]
 
 
 def inertias_from(
-    options: argparse.Namespace,
-    joints: Sequence[str],
-    poses: Sequence[Mapping[str, float]] = (),
+    options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]] = ()
 ) -> dict[str, Range]:
     """Return the least and the largest inertia that the options say, by joint."""
     of_all, of_one = _given(options.inertia)

@@ -188,15 +188,7 @@ def identify(parser: Parser) -> None:
         --plot FILE  predicted and measured efforts: .png, .pdf or .svg
         --force  replace files that exist
     """
-    options(
-        parser,
-        text,
-        bag=Path,
-        effort_unit=("si", "any"),
-        output=Path,
-        json=Path,
-        plot=Path,
-    )
+    options(parser, text, bag=Path, effort_unit=("si", "any"), output=Path, json=Path, plot=Path)
     rare = parser.rare()
     topics_options(rare)
     times_options(rare)

@@ -160,11 +160,7 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _settings(
-    label: str,
-    joint: JointDescription,
-    counts: int,
-    world: WorldSettings,
-    layers: Sequence[Layer],
+    label: str, joint: JointDescription, counts: int, world: WorldSettings, layers: Sequence[Layer]
 ) -> LoopSettings:
     """Return one joint's settings; later layers win, and the robot gives the defaults."""
     values: Parameters = {

@@ -496,10 +496,7 @@ def study_folder(
 
 
 def run_study(
-    plan: StudyPlan,
-    folder: ResultFolder,
-    run: Runner,
-    advanced: Callable[[RunRecord], None],
+    plan: StudyPlan, folder: ResultFolder, run: Runner, advanced: Callable[[RunRecord], None]
 ) -> StudyResult:
     """Run every controller of every experiment with every seed that the folder does not have.
 

@@ -124,10 +124,7 @@ def measure(
 
 
 def measure_all(
-    bags: Sequence[Source | Path | str],
-    how: Measuring | None = None,
-    *,
-    tell: Tell | None = None,
+    bags: Sequence[Source | Path | str], how: Measuring | None = None, *, tell: Tell | None = None
 ) -> list[Measured]:
     """Return the numbers of several recordings, read one after the other.
 

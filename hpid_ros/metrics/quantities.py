@@ -112,11 +112,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 
 def find_quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
     """Return quantities by name; ``paper`` and ``step`` stand for several, ``all`` for all."""
-    several = {
-        "all": tuple(QUANTITIES.values()),
-        "paper": PAPER,
-        "step": STEP_QUANTITIES,
-    }
+    several = {"all": tuple(QUANTITIES.values()), "paper": PAPER, "step": STEP_QUANTITIES}
     by_name = {key: (quantity,) for key, quantity in QUANTITIES.items()}
     by_symbol = {quantity.symbol.lower(): (quantity,) for quantity in QUANTITIES.values()}
     found: list[Quantity] = []

@@ -14,14 +14,7 @@ from hpid_ros.metrics.comparison import THRESHOLD, Comparison, Verdict
 from hpid_ros.metrics.folding import COLUMNS, quality_rows
 from hpid_ros.metrics.measure import Parameters
 from hpid_ros.metrics.quantities import QUANTITIES, Quantity
-from hpid_ros.report.table import (
-    MARKS,
-    Cell,
-    cells_of,
-    footnotes,
-    headings_of,
-    total_name,
-)
+from hpid_ros.report.table import MARKS, Cell, cells_of, footnotes, headings_of, total_name
 
 _PRINTED_COLUMNS = (10, 14, 18, 26)  # the style sheet has a size of type for each of these
 
@@ -316,8 +309,7 @@ def _overall_table(
     headings = headings_of(comparison)
     rows = [
         IndexRow(
-            _title(comparison, quantity, quantity.meaning),
-            cells_of(comparison, quantity, (None,)),
+            _title(comparison, quantity, quantity.meaning), cells_of(comparison, quantity, (None,))
         )
         for quantity in quantities
     ]

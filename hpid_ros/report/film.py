@@ -32,16 +32,7 @@ from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, SeriesError, seconds_since
 from hpid_ros.metrics.measure import recordings_of
 from hpid_ros.metrics.quantities import Signal, error_of, norm_of_run, position_of, reference_of
-from hpid_ros.report.figures import (
-    INK,
-    NO_RUN,
-    PAPER,
-    RUN_STYLES,
-    Figure,
-    Line,
-    Panel,
-    are_slides,
-)
+from hpid_ros.report.figures import INK, NO_RUN, PAPER, RUN_STYLES, Figure, Line, Panel, are_slides
 from hpid_ros.report.plots import draw_panel
 from hpid_ros.report.style import figure_style
 from hpid_ros.robot.description import RobotDescription

@@ -451,11 +451,7 @@ def _disk(margins: Margins) -> Circle:
 
 
 def _draw_peak(
-    panel: Axes,
-    lines: _Lines,
-    name: str,
-    margins: Margins | None,
-    extreme: Margins | None,
+    panel: Axes, lines: _Lines, name: str, margins: Margins | None, extreme: Margins | None
 ) -> None:
     """Draw a magnitude whose peak is the figure of this name among the margins."""
     title, symbol, function = {

@@ -43,15 +43,7 @@ from hpid_ros.report.blocks import (
     printed_columns,
     retunes,
 )
-from hpid_ros.report.figures import (
-    GRID,
-    INK,
-    REFERENCE,
-    RUN_STYLES,
-    Figure,
-    Line,
-    figures_of,
-)
+from hpid_ros.report.figures import GRID, INK, REFERENCE, RUN_STYLES, Figure, Line, figures_of
 
 if TYPE_CHECKING:
     from hpid_ros.metrics.task import EndEffectorPath

@@ -63,11 +63,7 @@ def render(drawing: Drawing, form: str, transparent: bool = False) -> bytes:
     """Return a drawing as the bytes of a file; the same one gives the same bytes."""
     buffer = io.BytesIO()
     drawing.savefig(
-        buffer,
-        format=form,
-        dpi=DOTS_PER_INCH,
-        metadata=_METADATA[form],
-        transparent=transparent,
+        buffer, format=form, dpi=DOTS_PER_INCH, metadata=_METADATA[form], transparent=transparent
     )
     return buffer.getvalue()
 

@@ -173,9 +173,7 @@ class TableColumn(NamedTuple):
 
 
 def columns_of(
-    headings: Sequence[str],
-    rows: Iterable[Iterable[str | Text]],
-    texts: Collection[str] = (),
+    headings: Sequence[str], rows: Iterable[Iterable[str | Text]], texts: Collection[str] = ()
 ) -> list[TableColumn]:
     """Return the columns of a table that is given by its rows; texts are headings of such."""
     cells = list(zip(*rows, strict=True)) or [()] * len(headings)

@@ -134,9 +134,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _settling(
-    options: argparse.Namespace,
-    loops: Mapping[str, LoopSettings],
-    experiment: Experiment | None,
+    options: argparse.Namespace, loops: Mapping[str, LoopSettings], experiment: Experiment | None
 ) -> list[Settling]:
     """Find whether decoupled joints that use each other's last efforts settle."""
     decoupled = [each for each in loops.values() if each.model.is_decoupling]

@@ -10,11 +10,7 @@ from hpid_ros.base.console import TextConsole
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.options import (
-    first_homogeneous,
-    joint_progress,
-    named_experiment,
-)
+from hpid_ros.cli.options import first_homogeneous, joint_progress, named_experiment
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import initial_inertias

@@ -12,10 +12,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import find_resource, refuse_outputs
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.commands.metrics import bag_selection
-from hpid_ros.cli.options import (
-    load_robot,
-    write_output,
-)
+from hpid_ros.cli.options import load_robot, write_output
 from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.measure import sliding_joints

@@ -123,7 +123,7 @@ def _print(console: Console, experiment: Experiment, label: str, *, has_page: bo
     node = f"/{controller_name(joints[-1])}"
     lines = [
         f"robot: {experiment.name}, {len(joints)} joints under {label}, in real time by "
-        f"{experiment.world.engine}, on {where}",
+        f"{experiment.world.engine}, on {where}"
     ]
     if not has_page:
         lines.append("no page: pip install 'hpid_ros[live]' adds it")

@@ -5,10 +5,7 @@ from __future__ import annotations
 import argparse
 
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.options import (
-    experiment_to_run,
-    output_folder,
-)
+from hpid_ros.cli.options import experiment_to_run, output_folder
 from hpid_ros.cli.terminal import (
     RunProgress,
     output_console,

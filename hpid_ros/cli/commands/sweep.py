@@ -32,11 +32,7 @@ def run(options: argparse.Namespace) -> int:
     axes = [Axis.parse(text) for text in options.vary]
     experiment = experiment_to_run(options)
     sweep = plan_sweep(
-        experiment,
-        axes,
-        controller=options.controller,
-        joints=options.joint,
-        seeds=options.seeds,
+        experiment, axes, controller=options.controller, joints=options.joint, seeds=options.seeds
     )
     console = TextConsole(stderr=True)
     with chosen_runner(options, console) as runner:
