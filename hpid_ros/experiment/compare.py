@@ -222,7 +222,7 @@ class Result:
     def notes(self) -> tuple[str, ...]:
         """Lines that belong below the table: what a reader must know of the runs."""
         slips = [each.line(label) for label, each in self.base.items() if each.has_slipped]
-        task = task_notes(tuple(self.end_effectors.items()), tuple(self.bricks.items()))
+        task = task_notes(self.end_effectors, self.bricks)
         return (*unfollowed_lines(self.runs), *task, *slips)
 
     def parameters(self) -> dict[str, dict[str, dict[str, object]]]:

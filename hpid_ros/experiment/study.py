@@ -53,6 +53,7 @@ from hpid_ros.metrics.quantities import (
 )
 from hpid_ros.report.export import engine_grids, engines_csv
 from hpid_ros.report.table import (
+    NOTHING,
     Grid,
     format_ratio,
     format_values,
@@ -329,9 +330,6 @@ class StudyResult:
             row = {"key": claim.key, "claim": claim.text, "verdict": kind}
             rows.append({**row, "holds_in": list(held), "figures": figures})
         return rows
-
-
-NOTHING = "-"
 
 
 def grids(result: StudyResult) -> list[Grid]:

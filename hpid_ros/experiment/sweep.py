@@ -28,6 +28,7 @@ from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.report.table import (
     ASCII_MARKS,
     MARKS,
+    NOTHING,
     STYLES,
     TableColumn,
     WideTable,
@@ -383,9 +384,6 @@ class SweepResult:
         return json.dumps(self.as_mapping(), indent=2) + "\n"
 
 
-_NOTHING = "-"
-
-
 @dataclass(frozen=True)
 class SweepTable:
     """Rows are points; columns are parameters, then median, quartiles and ratio of each index."""
@@ -399,7 +397,7 @@ class SweepTable:
         names = [TableColumn("controller", labels, is_text=True)]
         for axis in sweep.axes:
             values = [row.values.get(axis.name) for row in sweep.rows]
-            texts = [_NOTHING if each is None else shown(each) for each in values]
+            texts = [NOTHING if each is None else shown(each) for each in values]
             names.append(TableColumn(axis.name, texts))
         columns = []
         for quantity in PAPER:
@@ -410,11 +408,11 @@ class SweepTable:
             columns += [
                 TableColumn(
                     f"{quantity.symbol} [{unit_over(quantity.unit, sweep.are_slides)}]",
-                    [each[1] if each else _NOTHING for each in spreads],
+                    [each[1] if each else NOTHING for each in spreads],
                 ),
                 TableColumn(
                     "quartiles",
-                    [f"{each[0]}{dash}{each[2]}" if each else _NOTHING for each in spreads],
+                    [f"{each[0]}{dash}{each[2]}" if each else NOTHING for each in spreads],
                 ),
                 TableColumn("ratio", [_ratio(each, options.ascii_only) for each in ratios]),
             ]
@@ -434,7 +432,7 @@ class SweepTable:
 
 def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
     if ratios is None:
-        return Text(_NOTHING)
+        return Text(NOTHING)
     kind = verdict(ratios.median)
     marks = ASCII_MARKS if is_ascii else MARKS
     return Text(f"{format_ratio(ratios.median)}{marks[kind]}", style=STYLES[kind])

@@ -246,9 +246,7 @@ def expanded(source: Source) -> list[Source]:
     """Return the bags of a result folder, its saved numbers if they are gone, or the source."""
     if not (source.path / RESULT).is_file():
         return [source]
-    document = load_json(source.path / RESULT)
-    indices = document.get("indices") if isinstance(document, dict) else None
-    labels = list(indices.get("runs", {})) if isinstance(indices, dict) else []
+    labels = list(_section(_section(load_json(source.path / RESULT), "indices"), "runs"))
     # The file may be anybody's: a name that is no label does not lead to a bag of this folder.
     if not all(map(is_label, labels)):
         return [Source(source.path / RESULT, source.label)]
@@ -289,12 +287,14 @@ def saved_parameters(bag: Path) -> Mapping[str, Mapping[str, object]]:
     result = bag.absolute().parent.parent / RESULT
     if bag.absolute().parent.name != "bags" or not result.is_file():
         return {}
-    document = load_json(result)
-    parameters = document.get("parameters") if isinstance(document, dict) else None
-    found = parameters.get(bag.name) if isinstance(parameters, dict) else None
-    if not isinstance(found, dict):
-        return {}
+    found = _section(_section(load_json(result), "parameters"), bag.name)
     return {joint: each for joint, each in found.items() if isinstance(each, dict)}
+
+
+def _section(document: object, key: str) -> Mapping[str, Any]:
+    """Return a mapping within a document, which may be anybody's; nothing where there is none."""
+    found = document.get(key) if isinstance(document, dict) else None
+    return found if isinstance(found, dict) else {}
 
 
 def load_json(path: Path) -> Any:

@@ -194,12 +194,11 @@ class BrickFigures:
 
 
 def task_notes(
-    end_effectors: Sequence[tuple[str, EndEffectorFigures]],
-    bricks: Sequence[tuple[str, Sequence[BrickFigures]]],
+    end_effectors: Mapping[str, EndEffectorFigures], bricks: Mapping[str, Sequence[BrickFigures]]
 ) -> list[str]:
     """Return the lines below the table of a brick task; none where there were no bricks."""
-    lines = [brick.line(label) for label, each in bricks for brick in each]
-    return lines + [figures.line(label) for label, figures in end_effectors if lines]
+    lines = [brick.line(label) for label, each in bricks.items() for brick in each]
+    return lines + [each.line(label) for label, each in end_effectors.items() if lines]
 
 
 def _deviation(deviation: PoseDeviation) -> str:

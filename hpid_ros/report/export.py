@@ -22,6 +22,7 @@ from hpid_ros.metrics.quantities import (
 )
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.report.table import (
+    NOTHING,
     UNDEFINED,
     Grid,
     footnotes,
@@ -34,7 +35,6 @@ from hpid_ros.report.table import (
 
 NAMES: Mapping[str, str] = {"pybullet": "PyBullet", "mujoco": "MuJoCo"}  # engines
 
-_NOTHING = "-"
 _PLAIN = 10.0  # percent; above it decimals say nothing
 
 
@@ -64,7 +64,7 @@ def engines_csv(totals: Sequence[EngineTotal]) -> str:
 def format_distance(distance: float | None) -> str:
     """Return a distance in percent, with its sign: +0.120 %."""
     if distance is None:
-        return _NOTHING
+        return NOTHING
     percent = 100.0 * distance
     if not math.isfinite(percent):
         return "inf"
@@ -82,7 +82,7 @@ def _summary(totals: Sequence[EngineTotal], note: str) -> Grid:
         f"How far {second}'s totals lie from {first}'s",
         ("experiment", "controller", *(q.symbol for q in PAPER)),
         tuple(
-            (*names, *(cells.get(quantity.key, _NOTHING) for quantity in PAPER))
+            (*names, *(cells.get(quantity.key, NOTHING) for quantity in PAPER))
             for names, cells in rows.items()
         ),
         f"{second} / {first} with the same seed, less 1; medians over the seeds. {note}",
@@ -111,7 +111,7 @@ def _details(totals: Sequence[EngineTotal], note: str) -> Grid:
 def _row(total: EngineTotal, *, is_repeated: bool) -> tuple[str, ...]:
     medians = [median(list(each.values())) for each in total.values.values()]
     texts = iter(format_values([each for each in medians if each is not None]))
-    values = [_NOTHING if each is None else next(texts) for each in medians]
+    values = [NOTHING if each is None else next(texts) for each in medians]
     ratios = [median(list(total.ratios.get(engine, {}).values())) for engine in total.values]
     return (
         f"{total.quantity.symbol} [{total.unit}]",
@@ -119,7 +119,7 @@ def _row(total: EngineTotal, *, is_repeated: bool) -> tuple[str, ...]:
         *values,
         format_distance(total.distance),
         *((format_distance(total.largest_distance),) if is_repeated else ()),
-        *(_NOTHING if each is None else format_ratio(each) for each in ratios),
+        *(NOTHING if each is None else format_ratio(each) for each in ratios),
     )
 
 

@@ -39,6 +39,7 @@ SIGNIFICANT_DIGITS = 5
 # Beyond these a column is scientific: plain digits would be many, or zeros.
 SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e6
 UNDEFINED = "–"
+NOTHING = "-"  # where a table of runs over seeds has no number
 
 
 def format_values(values: Iterable[float], digits: int = SIGNIFICANT_DIGITS) -> list[str]:
