@@ -14,6 +14,7 @@ from hpid_ros.base.names import node_sections
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import (
+    Range,
     first_homogeneous,
     inertias_from,
     joint_progress,
@@ -59,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _export_plugin(
-    options: argparse.Namespace, loops: Sequence[LoopSettings], inertias: Mapping[str, float]
+    options: argparse.Namespace, loops: Sequence[LoopSettings], inertias: Mapping[str, Range]
 ) -> int:
     if options.precision != "double":
         raise SettingError("--precision single is for --c: ros2_control computes in double")
