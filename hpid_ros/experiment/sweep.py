@@ -20,21 +20,19 @@ from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import unit_over
 from hpid_ros.control.settings import PARAMETERS, LoopSettings
-from hpid_ros.experiment.batch import TOTAL, Quartiles, Runner, RunRecord, RunTable, RunTask
+from hpid_ros.experiment.batch import TOTAL, Runner, RunRecord, RunTable, RunTask
 from hpid_ros.experiment.description import Experiment, with_robot
 from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder, versions
-from hpid_ros.metrics.comparison import verdict
 from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.report.table import (
     ASCII_MARKS,
     MARKS,
     NOTHING,
-    STYLES,
     TableColumn,
     WideTable,
-    format_ratio,
     format_values,
     grids_text,
+    ratio_cell,
     slides_note,
 )
 from hpid_ros.robot.description import RobotDescription
@@ -392,7 +390,7 @@ class SweepTable:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         sweep, table = self.result.sweep, self.result.table
-        dash = "-" if options.ascii_only else "–"
+        dash, marks = ("-", ASCII_MARKS) if options.ascii_only else ("–", MARKS)
         labels = [f"{e.label} (baseline)" if e.baseline is None else e.label for e in sweep.rows]
         names = [TableColumn("controller", labels, is_text=True)]
         for axis in sweep.axes:
@@ -414,7 +412,9 @@ class SweepTable:
                     "quartiles",
                     [f"{each[0]}{dash}{each[2]}" if each else NOTHING for each in spreads],
                 ),
-                TableColumn("ratio", [_ratio(each, options.ascii_only) for each in ratios]),
+                TableColumn(
+                    "ratio", [ratio_cell(x.median).styled(marks) if x else NOTHING for x in ratios]
+                ),
             ]
         notes = [self.result.note(place) for place in range(len(sweep.rows))]
         if any(notes):
@@ -428,14 +428,6 @@ class SweepTable:
             slides_note(sweep.judged, sweep.experiment.slides),
         ]
         yield Text("\n".join(filter(None, lines)), style="dim")
-
-
-def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
-    if ratios is None:
-        return Text(NOTHING)
-    kind = verdict(ratios.median)
-    marks = ASCII_MARKS if is_ascii else MARKS
-    return Text(f"{format_ratio(ratios.median)}{marks[kind]}", style=STYLES[kind])
 
 
 def sweep_text(result: SweepResult) -> str:

@@ -10,11 +10,19 @@ from dataclasses import dataclass
 from typing import ClassVar, TypeAlias
 
 from hpid_ros.messages.series import RunSeries
-from hpid_ros.metrics.comparison import THRESHOLD, Comparison, Verdict
+from hpid_ros.metrics.comparison import Comparison, Verdict
 from hpid_ros.metrics.folding import COLUMNS, quality_rows
 from hpid_ros.metrics.measure import Parameters
 from hpid_ros.metrics.quantities import QUANTITIES, Quantity
-from hpid_ros.report.table import MARKS, Cell, cells_of, footnotes, headings_of, total_name
+from hpid_ros.report.table import (
+    MARKS,
+    Cell,
+    cells_of,
+    footnotes,
+    headings_of,
+    ratio_legend,
+    total_name,
+)
 
 _PRINTED_COLUMNS = (10, 14, 18, 26)  # the style sheet has a size of type for each of these
 
@@ -207,11 +215,7 @@ def legend(comparison: Comparison) -> Iterator[Block]:
     if any(run.spread for run in comparison.runs):
         text += " A number in brackets: median of so many runs, with first and third quartile."
     if comparison.others:
-        text += (
-            f" Ratio: run / {comparison.baseline.label}; {MARKS[Verdict.BETTER]} lower, which "
-            f"is better, {MARKS[Verdict.WORSE]} higher, {MARKS[Verdict.EQUAL]} equal "
-            f"{THRESHOLD}."
-        )
+        text += f" {ratio_legend(comparison.baseline.label, MARKS)}"
     yield Paragraph(text, is_soft=True)
     for line in footnotes(comparison):
         yield Paragraph(line)

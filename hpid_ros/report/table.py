@@ -12,8 +12,8 @@ a pipe, a table has one block.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from rich.box import SIMPLE, Box
@@ -353,6 +353,22 @@ class Cell(NamedTuple):
         """The verdict's sign; empty for a number."""
         return "" if self.verdict is None else MARKS[self.verdict]
 
+    def styled(self, marks: Mapping[Verdict, str]) -> Text:
+        if self.verdict is None:
+            return Text(self.text)
+        return Text(f"{self.text}{marks[self.verdict]}", style=STYLES[self.verdict])
+
+
+def ratio_cell(ratio: float) -> Cell:
+    return Cell(format_ratio(ratio), verdict(ratio))
+
+
+def ratio_legend(baseline: str, marks: Mapping[Verdict, str]) -> str:
+    return (
+        f"Ratio: run / {baseline}; {marks[Verdict.BETTER]} lower, which is better, "
+        f"{marks[Verdict.WORSE]} higher, {marks[Verdict.EQUAL]} equal {THRESHOLD}."
+    )
+
 
 def headings_of(comparison: Comparison) -> list[str]:
     """Return the headings of what :func:`cells_of` gives of a joint."""
@@ -382,8 +398,7 @@ def cells_of(
                 quartiles = run.spread.quartiles[joint].get(quantity.key)
                 row.append(Cell(format_quartiles(quartiles)))
             if run is not comparison.baseline:
-                ratio = comparison.ratio(run.label, quantity, joint)
-                row.append(Cell(format_ratio(ratio), verdict(ratio)))
+                row.append(ratio_cell(comparison.ratio(run.label, quantity, joint)))
         rows.append(row)
     return rows
 
@@ -393,30 +408,34 @@ class ComparisonTable:
     """The table as a rich renderable that suits itself to the width it gets."""
 
     comparison: Comparison
+    is_ascii: bool = False  # whether it has signs of ASCII alone, as on a terminal without others
+
+    @property
+    def marks(self) -> Mapping[Verdict, str]:
+        return ASCII_MARKS if self.is_ascii else MARKS
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        ascii_only = options.ascii_only
-        blocks = _Blocks(self.comparison, ASCII_MARKS if ascii_only else MARKS)
+        table = replace(self, is_ascii=options.ascii_only)
         if self.comparison.indices:
-            yield from self._indices(blocks, console, options)
+            yield from table._indices(console, options)
             yield ""
         if self.comparison.norms:
-            yield blocks.of_norms()
+            yield table._norms()
             yield ""
-        lines = [*blocks.legend()]
+        lines = table._legend()
         if {*self.comparison.indices, *self.comparison.norms} >= set(PAPER):
             lines += [Text(line, style="bold") for line in verdict_lines(self.comparison)]
         for text in lines:
-            yield Text(text.plain.replace("–", "-"), text.style) if ascii_only else text
+            yield Text(text.plain.replace("–", "-"), text.style) if table.is_ascii else text
 
-    def _indices(self, blocks: _Blocks, console: Console, options: ConsoleOptions) -> RenderResult:
+    def _indices(self, console: Console, options: ConsoleOptions) -> RenderResult:
         unlimited = options.update_width(UNLIMITED_WIDTH)
 
         def fits(table: Table) -> bool:
             return Measurement.get(console, unlimited, table).maximum <= options.max_width
 
         for gap, digits in LAYOUTS:
-            wide = blocks.side_by_side(self.comparison.indices, gap, digits)
+            wide = self._side_by_side(self.comparison.indices, gap, digits)
             if fits(wide):
                 yield wide
                 return
@@ -424,91 +443,75 @@ class ComparisonTable:
         gap, digits = LAYOUTS[0]
         while waiting:
             count = len(waiting)
-            while count > 1 and not fits(blocks.side_by_side(waiting[:count], gap, digits)):
+            while count > 1 and not fits(self._side_by_side(waiting[:count], gap, digits)):
                 count -= 1
             if count == 1:
-                yield blocks.of_index(waiting[0], options.max_width)
+                yield self._index(waiting[0], options.max_width)
             else:
-                yield blocks.side_by_side(waiting[:count], gap, digits)
+                yield self._side_by_side(waiting[:count], gap, digits)
             del waiting[:count]
             if waiting:
                 yield ""
 
-
-def table_text(comparison: Comparison, width: int = 100) -> str:
-    """Return the table as plain text without colours or trailing spaces."""
-    return grids_text([ComparisonTable(comparison)], width)
-
-
-class _Blocks:
-    """The pieces of one comparison's table: names, one block an index, norms, legend."""
-
-    def __init__(self, comparison: Comparison, marks: dict[Verdict, str]) -> None:
-        self._comparison = comparison
-        self._marks = marks
-
-    def side_by_side(self, quantities: Sequence[Quantity], gap: int, digits: int) -> Table:
+    def _side_by_side(self, quantities: Sequence[Quantity], gap: int, digits: int) -> Table:
         """Return the paper's table: the joints' names, then the blocks of some indices."""
         grid = Table.grid(padding=(0, gap, 0, 0), pad_edge=False)
         grid.add_row(
-            _block(" ", [self.names(quantities)]),
+            _block(" ", [self._names(quantities)]),
             *(_block(self._title(q), self._columns(q, digits)) for q in quantities),
         )
         return grid
 
-    def of_index(self, quantity: Quantity, width: int) -> Table | WideTable:
+    def _index(self, quantity: Quantity, width: int) -> Table | WideTable:
         """Return one index alone: the joints' names, then its runs and ratios."""
-        names, numbers = self.names([quantity]), self._columns(quantity, SIGNIFICANT_DIGITS)
+        names, numbers = self._names([quantity]), self._columns(quantity, SIGNIFICANT_DIGITS)
         if len(pieces([names], numbers, width, 1)) > 1:
             return WideTable([names], numbers, title=self._title(quantity), box=SIMPLE)
         return _block(self._title(quantity), [names, *numbers])
 
-    def of_norms(self) -> WideTable:
+    def _norms(self) -> WideTable:
         """Return what is shown over all joints alone, one row each."""
-        are_l2 = all("L2" in quantity.meaning for quantity in self._comparison.norms)
-        norms = self._comparison.norms
+        norms = self.comparison.norms
+        are_l2 = all("L2" in quantity.meaning for quantity in norms)
         names = TableColumn(
             "L2, all joints" if are_l2 else "all joints",
             [self._title(quantity) for quantity in norms],
             is_text=True,
         )
-        rows = ([*map(self._text, cells_of(self._comparison, q, (None,))[0])] for q in norms)
-        columns = columns_of(headings_of(self._comparison), rows)
+        columns = self._cells([cells_of(self.comparison, each, (None,))[0] for each in norms])
         return WideTable([names], columns, box=SIMPLE, header_style="table.header")
 
-    def legend(self) -> list[Text]:
+    def _legend(self) -> list[Text]:
         """Return what symbols and marks mean, and why numbers are not there."""
-        comparison = self._comparison
+        comparison = self.comparison
         shown = comparison.indices or comparison.norms
         lines = [", ".join(f"{q.symbol} {q.meaning}" for q in shown) + "."]
         if any(run.spread for run in comparison.runs):
             lines.append("(n): median of n runs, with the first and third quartile.")
         if comparison.others:
-            marks, baseline = self._marks, heading_of(comparison.baseline)
-            lines.append(
-                f"Ratio: run / {baseline}; {marks[Verdict.BETTER]} lower, which "
-                f"is better, {marks[Verdict.WORSE]} higher, {marks[Verdict.EQUAL]} equal "
-                f"{THRESHOLD}."
-            )
+            lines.append(ratio_legend(heading_of(comparison.baseline), self.marks))
         dim = [Text(line, style="dim") for line in lines]
         return [*dim, *(Text(line) for line in (*comparison.notes, *footnotes(comparison)))]
 
-    def names(self, quantities: Sequence[Quantity]) -> TableColumn:
-        names = [Text(shown(name)) for name in self._comparison.joint_names]
+    def _names(self, quantities: Sequence[Quantity]) -> TableColumn:
+        names = [Text(shown(name)) for name in self.comparison.joint_names]
         return TableColumn("joint", [*names, Text(total_name(quantities))], is_text=True)
 
     def _title(self, quantity: Quantity) -> str:
-        return f"{quantity.symbol} [{self._comparison.unit(quantity)}]"
+        return f"{quantity.symbol} [{self.comparison.unit(quantity)}]"
 
     def _columns(self, quantity: Quantity, digits: int) -> list[TableColumn]:
-        joints = (*self._comparison.joint_names, None)
-        rows = cells_of(self._comparison, quantity, joints, digits)
-        return columns_of(headings_of(self._comparison), (map(self._text, row) for row in rows))
+        joints = (*self.comparison.joint_names, None)
+        return self._cells(cells_of(self.comparison, quantity, joints, digits))
 
-    def _text(self, cell: Cell) -> Text:
-        if cell.verdict is None:
-            return Text(cell.text)
-        return Text(f"{cell.text}{self._marks[cell.verdict]}", style=STYLES[cell.verdict])
+    def _cells(self, rows: Sequence[Sequence[Cell]]) -> list[TableColumn]:
+        texts = ([each.styled(self.marks) for each in row] for row in rows)
+        return columns_of(headings_of(self.comparison), texts)
+
+
+def table_text(comparison: Comparison, width: int = 100) -> str:
+    """Return the table as plain text without colours or trailing spaces."""
+    return grids_text([ComparisonTable(comparison)], width)
 
 
 def heading_of(run: RunIndices) -> str:
