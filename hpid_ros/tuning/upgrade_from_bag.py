@@ -18,7 +18,7 @@ from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.run import measures_velocity, read_run
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import JointSeries, RunSeries
+from hpid_ros.messages.series import NO_EFFORT, JointSeries, RunSeries
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.laws import read_retunes
 from hpid_ros.metrics.quantities import INDICES, IVC
@@ -269,6 +269,14 @@ def _read(
         raise SettingError(
             f"{bag} has no reference of {', '.join(missing)}: record joint_trajectory, "
             "as bag_recorder does"
+        )
+    without = {each.joint for each in recording.joints if not each.has_effort}
+    missing = [each.joint for each in loops if each.joint in without]
+    if missing:
+        why = recording.quality.joints[missing[0]].no_effort or NO_EFFORT
+        raise SettingError(
+            f"{bag} has no efforts of {', '.join(missing)} ({why}): record joint_commands, or "
+            "efforts that are measured"
         )
     retunes = read_retunes(bag)
     if retunes:

@@ -56,7 +56,7 @@ def first_steps(found: BagUpgrade, files: Mapping[str, Path]) -> list[tuple[str,
             *(
                 (
                     f"To see what the goal {goal} proposes, ask for it.",
-                    (f"hpid upgrade {bag} --urdf {robot} --goal {goal}",),
+                    (f"hpid upgrade {bag} --urdf {robot} --goal {goal} -o {goal}.yaml",),
                 )
                 for goal in found.others
             ),

@@ -194,6 +194,18 @@ def test_wheels_on_which_the_robot_rolled_are_left_out(tmp_path, capsys):
     assert f"left out: {', '.join(wheels)}: the robot rolled on it (0.2 m and 0 rad" in line
 
 
+def test_a_bag_without_efforts_is_one_line(place, tmp_path, capsys):
+    states = [state(k * 5 * MS, shoulder=0.01 * k, elbow=0.0) for k in range(200)]
+    motion = trajectory(0, ramp("shoulder", t0=0.0, t1=2.0))
+    pid = {"joint": "shoulder", "law": "pid", "gains": GAINS["shoulder"]}
+    params = tmp_path / "pid.yaml"
+    params.write_text(yaml.safe_dump({"shoulder_controller": {"ros__parameters": pid}}))
+    bag = write_bag(tmp_path / "bag", [motion, *states])
+    new = ["--urdf", place / "two_links.urdf", "--params", params, "-o", tmp_path / "new.yaml"]
+    line = refused(capsys, bag, *new)
+    assert "has no efforts of shoulder (no effort was recorded)" in line
+
+
 def test_where_the_model_is_wrong_nothing_is_proposed(place, tmp_path, capsys):
     missed = missed_entries({"/joint_states": 7}, 0.0)
     bag = with_custom_data(place / "before", tmp_path, lambda own: own.update(missed))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -55,8 +56,7 @@ def run(options: argparse.Namespace) -> int:
     for loop, each in zip(loops, files, strict=True):
         header, source, *_, test = each
         print(f"{loop.joint}: {header}, {source}; to check it: {test}")
-    print(f"written: {options.output}")
-    return DONE
+    return _written(options, loops)
 
 
 def _export_plugin(
@@ -84,6 +84,17 @@ def _export_plugin(
     _write(options.output, files)
     for each in ranges:
         print(f"{each.settings.joint}: {each}")
+    return _written(options, loops)
+
+
+def _written(options: argparse.Namespace, loops: Sequence[LoopSettings]) -> int:
+    free = [
+        each.joint
+        for each in loops
+        if not each.motion.has_stop and math.isinf(each.motion.fastest)
+    ]
+    if free and options.urdf is None:
+        print(f"no limits of position and velocity: {', '.join(free)}; --urdf takes the robot's")
     print(f"written: {options.output}")
     return DONE
 

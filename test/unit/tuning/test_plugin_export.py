@@ -128,6 +128,7 @@ def test_a_linear_joint_may_have_all_gains_that_are_stable(active):
     [
         ({"gains.p": 80.0}, "elbow: not certified: gains.p = 80"),
         ({"joint": "shoulder"}, "elbow: parameter joint must be it, not shoulder"),
+        ({"joint": ""}, "elbow: it is not a joint of this package"),
         ({"position_min": 2.0}, "elbow: position_min must not exceed position_max"),
     ],
 )

@@ -129,8 +129,9 @@ JointNode::JointNode(
   }
   settings_ = with(all);
   const auto params = parameters_->get_params();
-  const auto reason =
-    params.joint == joint ? why_not(settings_) : "parameter joint must be it, not " + params.joint;
+  const auto reason = params.joint == joint  ? why_not(settings_)
+                      : params.joint.empty() ? "it is not a joint of this package"
+                                             : "parameter joint must be it, not " + params.joint;
   if (!reason.empty()) {
     throw std::invalid_argument(joint + ": " + reason);
   }
@@ -189,10 +190,11 @@ Settings JointNode::with(const Parameters & changes) const
 std::string JointNode::line() const
 {
   const bool is_linear = settings_.law == {{ C }}_LAW_PID;
-  char shown[128];
+  char shown[192];
   std::snprintf(
-    shown, sizeof shown, "%s, mu %g, gains %g, %g, %g, certified", is_linear ? "pid" : "hpid",
-    settings_.mu, settings_.gains_p, settings_.gains_i, settings_.gains_d);
+    shown, sizeof shown, "%s, mu %g, gains %g, %g, %g, effort %g to %g, certified",
+    is_linear ? "pid" : "hpid", settings_.mu, settings_.gains_p, settings_.gains_i,
+    settings_.gains_d, settings_.u_clamp_min, settings_.u_clamp_max);
   return shown;
 }
 
