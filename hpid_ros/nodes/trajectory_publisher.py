@@ -24,7 +24,7 @@ from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.motion.references import planned_reference
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.middleware import LATCHED, NEWEST_STATES, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.middleware import ALL_STATES, LATCHED, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.goals import LEAD_NS
@@ -67,7 +67,7 @@ class TrajectoryPublisher(executor.ClosingNode):
         self._looks_left = _LOOKS
         self._is_published = self._is_under_way = False
         self._publisher = self.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
-        self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
+        self._states = subscribe_raw(self, "joint_states", self._on_state, ALL_STATES)
         self._status = StatusPipe(self)
         self._look = steady_timer(self, _LOOK_PERIOD, self._publish_when_states_are_heard)
 

@@ -82,6 +82,9 @@ reliable and volatile).
 NEWEST_STATES = QoSProfile(depth=_STATES_AT_ONCE, reliability=ReliabilityPolicy.BEST_EFFORT)
 """States, as a controller takes them: a hiccup is caught up, anything older is the past."""
 
+ALL_STATES = QoSProfile(depth=_BEHIND_AT_MOST, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""States, for who must not miss the first."""
+
 NEWEST_REFERENCE = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """References of controllers: who has fallen behind looks at none that is old."""
 

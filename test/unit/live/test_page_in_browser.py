@@ -164,6 +164,7 @@ def test_three_joints_at_once_and_one_that_refuses(open_page, server):
     type_into(page, "homogeneity degree", -0.3)
     apply(page)
     assert [server.next()["set"] for _ in NODES] == [[node, {"mu": -0.3}] for node in NODES]
+    page.get_by_text(re.compile("chosen, not sent")).wait_for(state="hidden")
     server.order(refuse=[NODES[1], "mu = -0.4 is not certified stable; certified degrees: none"])
     type_into(page, "homogeneity degree", -0.4)
     apply(page)
