@@ -32,7 +32,8 @@ class LoopState(Enum):
     usable state           HOLDING, or FOLLOWING where there is a motion
     state refused          FAULT, SILENT stays SILENT; the first jump of a position changes none
     ``note_timeout``       SILENT
-    clock back, ``reset``  WAITING: the next usable state is the first (a simulated clock alone)
+    ``reset``              WAITING: the next usable state is the first; so after a simulated clock
+                           went back
     =====================  ====================================================================
 
     Beside it one flag, ``JointLoop._is_takeover_due``: the next usable state is a takeover. Set by
@@ -77,10 +78,10 @@ class JointLoop:
     Where the joint was without a command of the loop for longer than ``state_timeout`` (a gap
     between the stamps, :meth:`note_timeout`, states that cannot be used), where its position
     jumped, and where a wall clock was set back, which ends a motion that goes by it, the loop
-    takes over again: it starts from where the joint is, with the active effort
-    as its integral (after a jump without its derivative term), and glides onto a motion that is
-    under way. A gap, and on a wall clock a stamp that goes back, is believed with its second
-    state: the first gets the active effort, so that a single wrong stamp leaves nothing behind.
+    takes over again: it starts from where the joint is, with the active effort as its integral
+    (after a jump without its derivative term), and glides onto a motion that is under way. A
+    gap, and on a wall clock a stamp that goes back, is believed with its second state: the first
+    gets the active effort, so that a single wrong stamp leaves nothing behind.
 
     Args:
         settings: Checked settings.

@@ -241,9 +241,8 @@ def run_on_graph(
             run.wait_for("finished", nodes.bridge, None, "the last state")
             begun.append(time.monotonic())
         except BaseException:
-            if (
-                options.is_recorded and nodes.recorder in group.nodes
-            ):  # it has its time all the same
+            # The recorder has its time all the same.
+            if options.is_recorded and nodes.recorder in group.nodes:
                 group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
             raise
         if options.is_recorded:
