@@ -191,9 +191,10 @@ BESIDE_THE_LAW = {
 class NothingKicks(RuleBasedStateMachine):
     """A joint that moves smoothly is driven smoothly, whatever its driver and its user do.
 
-    Between two samples the effort moves by what error and rate do; by more only to and from
-    ``fallback_effort``, and at a takeover by the derivative term. An estimate of the velocity
-    that begins anew comes in with its filter, which is what the 3 N m at first are for.
+    Between two samples the effort moves by what error and rate do, and by what the last sample
+    integrated; by more only to and from ``fallback_effort``, and at a takeover by the derivative
+    term. An estimate of the velocity that begins anew comes in with its filter; at once, where
+    another source takes its place.
     """
 
     def __init__(self):
@@ -203,7 +204,8 @@ class NothingKicks(RuleBasedStateMachine):
         self.stamp_ns = 10**9
         self.position = self.velocity = 0.0
         self.active = 0.0  # [N m] what the joint has
-        self.taken_over_ns = self.stamp_ns
+        self.taken_over_ns = self.answered_ns = self.stamp_ns
+        self.integrated = 0.0  # [N m] by the last sample, for the next: a lot after a freeze
 
     def _move(self, seconds, acceleration=0.0):
         self.velocity = min(max(self.velocity + acceleration * seconds, -FASTEST), FASTEST)
@@ -224,15 +226,19 @@ class NothingKicks(RuleBasedStateMachine):
             rate += rate_before
         if self.loop.counts.takeovers > takeovers:
             assert abs(effort - self.active) <= 5.0 * rate + 1e-6
-            self.taken_over_ns = self.stamp_ns
+            self.taken_over_ns = self.answered_ns = self.stamp_ns
         elif not is_back:
             is_new = self.stamp_ns - self.taken_over_ns < 200 * MS
             moved = [abs(a - b) for a, b in zip(self.loop.reference, before, strict=True)]
             ahead = self.values.get("feedforward.viscous_friction", 0.0)
             ahead += self.values.get("feedforward.coulomb_friction", 0.0) / FRICTION_VELOCITY
-            allowed = (3.0 if is_new else 0.5) + 100.0 * moved[0] + (5.0 + ahead) * moved[1]
+            allowed = 0.5 + self.integrated + 100.0 * moved[0] + (5.0 + ahead) * moved[1]
+            if is_new:
+                allowed += 5.0 * abs(self.velocity)
             assert abs(effort - self.active) <= allowed
-        self.active = effort
+        seconds = (self.stamp_ns - self.answered_ns) * 1e-9
+        self.integrated = LAW["gains.i"] / LAW["gains.p"] * abs(self.loop.terms.p) * seconds
+        self.active, self.answered_ns = effort, self.stamp_ns
 
     @rule(samples=st.integers(1, 60), acceleration=st.floats(-HARDEST, HARDEST))
     def samples(self, samples, acceleration):
