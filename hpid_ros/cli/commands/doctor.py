@@ -18,7 +18,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from hpid_ros.base.processes import OPTIONAL, raise_if_interrupted
+from hpid_ros.base.processes import OPTIONAL, Library, raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.experiment.processes import SHARED_MEMORY
@@ -30,6 +30,8 @@ _LOOKS = {OK: "green", NOTE: "yellow", BAD: "red"}
 _PYTHONS = (3, 10), (3, 13)  # the oldest, and the newest that the suite was run with
 _ROOM = 64 * 2**20  # [bytes] of shared memory for a run of eleven processes
 _FOUND_WITHIN = 1.0  # [s]
+_OPENGL = "apt install libegl1 libgl1-mesa-dri (or libosmesa6)"
+_NO_ROS = "not tried: there is no ROS 2"
 _RUNS_WITHIN = 60.0  # [s], a program of one line
 _SETTINGS = (
     *("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"),
@@ -103,6 +105,8 @@ def ros() -> Finding:
 
 
 def middleware() -> Finding:
+    if find_spec("rclpy") is None:
+        return Finding("middleware", BAD, _NO_ROS)
     asked = os.environ.get("RMW_IMPLEMENTATION", "")
     program = "import rclpy; rclpy.init(); print(rclpy.get_rmw_implementation_identifier())"
     done = _python(program)
@@ -125,7 +129,7 @@ def discovery() -> Finding:
     """Whether a controller in another process is found, and answers a state."""
     given = ", ".join(f"{name}={os.environ[name]}" for name in _SETTINGS if name in os.environ)
     if find_spec("rclpy") is None:
-        return Finding("discovery", BAD, "not tried: there is no ROS 2")
+        return Finding("discovery", BAD, _NO_ROS)
     program = "from hpid_ros.live.discovery import time_to_answer; print(time_to_answer())"
     done = _python(program)
     if done.returncode:
@@ -133,7 +137,7 @@ def discovery() -> Finding:
     took = float(done.stdout.split()[-1])
     remedy = (
         f"{f'these settings count: {given}' if given else 'no setting of discovery is in the way'}"
-        "; a firewall must let UDP through on lo (docs/faults.md)"
+        "; lo must be up, and a firewall let UDP through it (docs/faults.md)"
     )
     if math.isinf(took):
         return Finding("discovery", BAD, "two nodes did not meet", remedy)
@@ -199,28 +203,30 @@ def engines() -> Finding:
 
 def libraries() -> Finding:
     asked = {name: each for name, each in OPTIONAL.items() if name not in (*ENGINES, "rclpy")}
-    missing = {name: each for name, each in asked.items() if find_spec(name) is None}
+    missing: dict[Library, list[str]] = {}
+    for name, library in asked.items():
+        if find_spec(name) is None:
+            missing.setdefault(library, []).append(name)
     if not missing:
         return Finding("libraries", OK, ", ".join(asked))
+    needs = (f"{', '.join(names)}, for {each.purpose}" for each, names in missing.items())
     return Finding(
         "libraries",
         NOTE,
-        "without " + "; ".join(f"{name}: no {each.purpose}" for name, each in missing.items()),
-        f"pip install {' '.join(each.package for each in missing.values())}",
+        f"not installed: {'; '.join(needs)}",
+        f"pip install {' '.join(each.package for each in missing)}",
     )
 
 
 def drawing() -> Finding:
     """Whether ``hpid render`` can draw."""
+    if find_spec("mujoco") is None:
+        return Finding("OpenGL", NOTE, "not tried: hpid render draws with mujoco")
     program = "from hpid_ros.simulation.stage import gl_context; gl_context(64, 64).make_current()"
     done = _python(program)
     if done.returncode:
-        return Finding(
-            "OpenGL",
-            NOTE,
-            f"{_last(done.stderr)}: hpid render cannot draw",
-            "apt install libegl1 libgl1-mesa-dri (or libosmesa6)",
-        )
+        found = _last(done.stderr).removesuffix(f": {_OPENGL}")
+        return Finding("OpenGL", NOTE, f"hpid render cannot draw: {found}", _OPENGL)
     return Finding("OpenGL", OK, "hpid render can draw, no screen needed")
 
 
