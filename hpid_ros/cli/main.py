@@ -16,6 +16,13 @@ from hpid_ros.cli import arguments, robot_arguments
 from hpid_ros.cli.arguments import COMMANDS, Parser
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED, UNREAD
 
+# Subcommands that share a module, with their functions; every other one is ``run`` of its own.
+_TOGETHER = {
+    "run": ("compare", "run_one"),
+    **{name: ("batches", name) for name in ("sweep", "study", "tune")},
+    **{name: ("motions", name) for name in ("excite", "autotune")},
+}
+
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
@@ -50,8 +57,10 @@ def _run(options: argparse.Namespace) -> int:
                 from hpid_ros.experiment.processes import warm_up
 
                 warm_up()
-            module = import_module(f"hpid_ros.cli.commands.{options.command.replace('-', '_')}")
-            code: int = module.run(options)
+            own = (options.command.replace("-", "_"), "run")
+            name, function = _TOGETHER.get(options.command, own)
+            module = import_module(f"hpid_ros.cli.commands.{name}")
+            code: int = getattr(module, function)(options)
         sys.stdout.flush()
         return code
     except RunError as error:

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -20,9 +19,8 @@ from hpid_ros.base.records import Section, take_record
 from hpid_ros.base.yaml_files import load_document, load_yaml
 from hpid_ros.control.controller_files import ParameterFile, parameters_from
 from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
-from hpid_ros.experiment.batch import Runner, RunRecord, run_batch
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.result_folder import ResultFolder, system_errors
+from hpid_ros.experiment.result_folder import system_errors
 from hpid_ros.metrics.measure import sliding_joints as slides_of_bag
 from hpid_ros.robot.amendments import RobotSection
 from hpid_ros.robot.description import GivenRobot, RobotDescription
@@ -122,32 +120,6 @@ def output_folder(options: argparse.Namespace, name: str) -> Path:
 
 
 @contextmanager
-def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Runner]:
-    """Give what runs a batch: processes of this machine, or the workers of a scheduler."""
-    if options.scheduler is None:
-        if options.jobs is not None and options.jobs < 1:
-            raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
-        yield partial(run_batch, jobs=options.jobs)
-        return
-    from hpid_ros.experiment.cluster import Cluster
-
-    with Cluster(options.scheduler) as cluster:
-        console.print(str(cluster), soft_wrap=True)
-        yield cluster
-
-
-@contextmanager
-def result_announced(console: Console, folder: ResultFolder, interrupted: str) -> Iterator[None]:
-    """Say at the end where the result is, or after an interrupt where the rest of it is."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        console.print(f"{interrupted}: {folder.path}", soft_wrap=True)
-        raise
-    console.print(f"result: {folder.path}", soft_wrap=True)
-
-
-@contextmanager
 def progress(console: Console, noun: str, total: int) -> Iterator[Callable[[str], None]]:
     """Show how many are done, their rate and the remaining time; nothing to a file."""
     columns = (
@@ -188,20 +160,6 @@ def joint_progress(
                     console.print(line, soft_wrap=True)
 
         yield note
-
-
-@contextmanager
-def run_progress(console: Console, runs: int) -> Iterator[Callable[[RunRecord], None]]:
-    """Show the progress of runs and how many have failed."""
-    failures = 0
-    with progress(console, "runs", runs) as advanced:
-
-        def ended(record: RunRecord) -> None:
-            nonlocal failures
-            failures += bool(record.failure)
-            advanced(f"[yellow]{failures} failed" if failures else "")
-
-        yield ended
 
 
 _POSES = 200

@@ -1,12 +1,10 @@
-"""The terminal while something runs, at its end, and when a person is asked."""
+"""The terminal while something runs, and at its end."""
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +19,6 @@ from rich.progress import (
 )
 
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import ResultExistsError, SettingError
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.report.table import UNLIMITED_WIDTH, WideTable
 
@@ -179,21 +176,3 @@ def print_runs(console: Console, reports: Sequence[RunReport], duration: float) 
 
 def _microseconds(*values: float) -> list[str]:
     return [f"{value:.0f}" if value >= 100.0 else f"{value:.1f}" for value in values]
-
-
-def agreed(question: str, *, is_given: bool, option: str = "--yes") -> bool:
-    """Ask a person, and return whether the answer is yes."""
-    if is_given:
-        return True
-    if not sys.stdin.isatty():
-        raise SettingError(f"there is no terminal to ask at: {option} answers yes")
-    print(f"{question}? [y/N] ", end="", flush=True)
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
-def new_bag(given: Path | None, kind: str, option: str, *, is_dry: bool) -> Path:
-    """Return where to record: nothing is written over."""
-    bag = given or Path(f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
-    if bag.exists() and not is_dry:
-        raise ResultExistsError(f"{bag} exists; name a new folder with {option}")
-    return bag

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.names import is_label
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.messages import read_robot_descriptions
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
@@ -22,8 +23,8 @@ from hpid_ros.messages.series import RunSeries
 from hpid_ros.messages.storage import custom_data, recorded_slides
 from hpid_ros.metrics.comparison import Comparison, Cut, common_cuts, mismatches
 from hpid_ros.metrics.folding import fold_repeats, quality_lines
-from hpid_ros.metrics.laws import read_retunes
-from hpid_ros.metrics.quantities import INDICES, NORMS, Data, find_quantities
+from hpid_ros.metrics.laws import gains_of_runs, read_retunes
+from hpid_ros.metrics.quantities import INDICES, NORMS, Data, Gains, find_quantities
 from hpid_ros.metrics.results import (
     DEFAULT_CUTOFF,
     RunIndices,
@@ -156,6 +157,17 @@ class Summary:
     sources: tuple[Path, ...] = ()  # where the numbers come from
     end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
     paths: tuple[EndEffectorPath, ...] = ()
+
+    def gains(self) -> Gains:
+        """Return what the laws did to their gains, of each run whose parameters are known."""
+        settings = {
+            run.label: {
+                joint: LoopSettings.from_parameters(each)
+                for joint, each in self.parameters.get(run.label, {}).items()
+            }
+            for run in self.series
+        }
+        return gains_of_runs(self.series, settings)
 
 
 def compare(

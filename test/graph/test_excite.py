@@ -16,8 +16,8 @@ from harness.turntable import (
 )
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.cli.commands.motions import agreed
 from hpid_ros.cli.main import main
-from hpid_ros.cli.terminal import agreed
 from hpid_ros.live.graph_client import running_graph
 from hpid_ros.live.motion import bounds_of, carry_out, chosen
 from hpid_ros.motion.excitation import Design, Wish, plan

@@ -87,7 +87,7 @@ def test_an_engine_that_is_not_installed_is_one_line_before_anything_runs(
 
 
 def test_robots_that_are_not_installed_are_named_and_left_out(monkeypatch, capsys):
-    from hpid_ros.cli.commands.study import _shipped_files
+    from hpid_ros.cli.commands.batches import _shipped_files
 
     monkeypatch.setitem(sys.modules, "pybullet_data", None)
     names = [file.stem for file in _shipped_files()]

@@ -1,4 +1,4 @@
-"""``hpid compare``: run the controllers of an experiment and compare them."""
+"""``hpid compare``, ``hpid run``: the controllers of an experiment compared, or one of them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ from hpid_ros.cli.terminal import (
     print_notes,
     print_result_places,
     print_runs,
+    print_timing,
 )
-from hpid_ros.experiment.compare import Result, compare, compare_engines
+from hpid_ros.experiment.compare import Result, compare, compare_engines, run_controller
 from hpid_ros.experiment.graph_run import GraphOptions
 from hpid_ros.experiment.in_process import RunReport, named
 from hpid_ros.experiment.result_folder import reopened
@@ -114,6 +115,32 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
     print_result_places(console, {"both": output} | reports)
     for engine in engines if formats else ():
         _draw(console, output / engine, formats)
+    return DONE
+
+
+def run_one(options: argparse.Namespace) -> int:
+    """Run one controller on the graph, and print what it gave and how its time was spent."""
+    graph = GraphOptions(
+        processes=options.processes,
+        is_recorded=not options.no_record,
+        is_realtime=options.realtime,
+        realtime_priority=options.realtime_priority,
+    )
+    experiment = experiment_to_run(options)
+    label = options.controller or list(experiment.controllers)[-1]
+    output = output_folder(options, experiment.name)
+    console = output_console()
+    with RunProgress(console, experiment, [label]) as progress:
+        report, result = run_controller(
+            *(experiment, label, output, progress, graph),
+            force=options.force,
+            is_tried=not options.no_trial,
+        )
+    if result:
+        console.print(ComparisonTable(result.comparison))
+        print_notes(console, result.notes)
+    print_timing(console, report, experiment.duration)
+    print_result_places(console, {"result": output})
     return DONE
 
 

@@ -12,7 +12,6 @@ from rich.console import Console
 from hpid_ros.base.errors import ResultExistsError, SettingError
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.commands.metrics import gains_of
 from hpid_ros.cli.options import progress
 from hpid_ros.cli.terminal import output_console, print_result_places
 from hpid_ros.experiment.result_folder import reopened
@@ -63,7 +62,7 @@ def printed_figures(found: Summary) -> list[Figure]:
     return figures_of(
         *(found.comparison, found.series, PRINT_SAMPLES),
         repeats=found.repeats,
-        gains=gains_of(found),
+        gains=found.gains(),
         paths=found.paths,
     )
 

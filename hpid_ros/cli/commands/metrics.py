@@ -19,10 +19,8 @@ from hpid_ros.base.files import find_resource, refuse_outputs, write_file
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.terminal import output_console, reading
-from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.result_folder import ResultFolder, check_place, versions
 from hpid_ros.messages.selection import BagSelection, Reference, parse_command_topics
-from hpid_ros.metrics.laws import gains_of_runs
 from hpid_ros.metrics.measure import (
     ALL_JOINTS,
     Measuring,
@@ -32,7 +30,7 @@ from hpid_ros.metrics.measure import (
     measure_all,
     summary,
 )
-from hpid_ros.metrics.quantities import ANGLE_UNITS, Gains, find_quantities
+from hpid_ros.metrics.quantities import ANGLE_UNITS, find_quantities
 from hpid_ros.report.export import FORMATS
 from hpid_ros.report.figures import require_formats
 from hpid_ros.report.table import ComparisonTable
@@ -233,21 +231,9 @@ def _report_text(found: Summary) -> str:
         found.parameters,
         warnings=found.warnings,
         repeats=found.repeats,
-        gains=gains_of(found),
+        gains=found.gains(),
         paths=found.paths,
     )
-
-
-def gains_of(found: Summary) -> Gains:
-    """Return what the laws did to their gains, of each run whose parameters are known."""
-    settings = {
-        run.label: {
-            joint: LoopSettings.from_parameters(each)
-            for joint, each in found.parameters.get(run.label, {}).items()
-        }
-        for run in found.series
-    }
-    return gains_of_runs(found.series, settings)
 
 
 def run(options: argparse.Namespace) -> int:
