@@ -19,13 +19,14 @@ from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED, UNREAD
 # Subcommands that share a module, with their functions; every other one is ``run`` of its own.
 _TOGETHER = {
     "run": ("compare", "run_one"),
+    "repair": ("replay", "repair"),
+    "gains": ("check_gains", "gains"),
     **{name: ("batches", name) for name in ("sweep", "study", "tune")},
     **{name: ("motions", name) for name in ("excite", "autotune")},
 }
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code."""
     args = sys.argv[1:] if args is None else list(args)
     if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next
         import argcomplete

@@ -198,7 +198,6 @@ def identified_robot(file: Path) -> GivenRobot | None:
 
 
 def write_output(path: Path, content: str | bytes) -> None:
-    """Write a file that an option names."""
     with system_errors(f"cannot write {path}", SettingError):
         write_file(path, content)
 
@@ -299,7 +298,6 @@ def _of_robot(
 
 
 def parameter_file(path: Path) -> ParameterFile:
-    """Read a parameter file of joint controllers."""
     return parameters_from(load_yaml(path, SettingError), str(path))
 
 
@@ -318,7 +316,6 @@ def loop_file(path: Path) -> tuple[Experiment | None, ParameterFile]:
 
 
 def require_controller(experiment: Experiment | None, label: str, file: Path) -> None:
-    """Refuse a controller that a file has not."""
     if experiment is None:
         raise SettingError(f"--controller is for experiments, and {file} is none")
     if label not in experiment.controllers:
@@ -326,7 +323,6 @@ def require_controller(experiment: Experiment | None, label: str, file: Path) ->
 
 
 def require_joints(asked: Iterable[str], loops: Iterable[LoopSettings]) -> None:
-    """Refuse joints that no loop has."""
     known = list(dict.fromkeys(each.joint for each in loops))
     for joint in asked:
         if joint not in known:

@@ -126,7 +126,6 @@ def reading() -> Iterator[Callable[[str, float], None]]:
 
 
 def print_notes(console: Console, notes: Sequence[str]) -> None:
-    """Print what a reader must know of the runs, below their table."""
     for note in notes:
         console.print(note, style="yellow", soft_wrap=True)
 
@@ -149,14 +148,12 @@ def print_timing(console: Console, report: RunReport, duration: float) -> None:
 
 
 def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
-    """Print where a result lies."""
     console.print()
     for what, path in places.items():
         console.print(f"{what}: {path}", soft_wrap=True)
 
 
 def print_runs(console: Console, reports: Sequence[RunReport], duration: float) -> None:
-    """Print how runs went."""
     headings = ("run", "states", "processes", "wall time", "rate", "real time")
     rows = [
         (

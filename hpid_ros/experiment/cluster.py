@@ -126,7 +126,6 @@ def differences(own: Mapping[str, str], others: Mapping[str, str]) -> str:
 
 
 def work(parcel: Parcel, wanted: Mapping[str, str], task: RunTask) -> RunRecord:
-    """Run a task on this worker."""
     found = differences(wanted, traits((task.world.engine,)))
     if found:
         raise RunError(f"it has {found}")

@@ -215,7 +215,7 @@ class Result:
                 for run in self.runs
             },
             **{key: each for key, each in optional.items() if each},
-            "parameters": self.parameters(),
+            "parameters": experiment.parameters(),
         }
 
     @property
@@ -224,12 +224,6 @@ class Result:
         slips = [each.line(label) for label, each in self.base.items() if each.has_slipped]
         task = task_notes(self.end_effectors, self.bricks)
         return (*unfollowed_lines(self.runs), *task, *slips)
-
-    def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
-        return {
-            label: {each.joint: dict(each.to_parameters()) for each in settings}
-            for label, settings in self.experiment.controllers.items()
-        }
 
 
 _TOPICS = (ODOM, TRUTH, SLIP, END_EFFECTOR, GRIP_EVENTS, BRICK_POSES)
@@ -301,7 +295,7 @@ def save(result: Result, folder: ResultFolder, how: str) -> None:
             result.comparison,
             result.runs,
             provenance,
-            result.parameters(),
+            result.experiment.parameters(),
             gains=gains_of_runs(result.runs, settings),
             paths=result.paths,
         ),

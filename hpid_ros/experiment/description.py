@@ -249,6 +249,13 @@ class Experiment:
         joints = self.description.joints
         return {name: joints[name].friction for name in self.world.joints}
 
+    def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
+        """Return the parameters of every controller's loops, by label and joint."""
+        return {
+            label: {each.joint: dict(each.to_parameters()) for each in loops}
+            for label, loops in self.controllers.items()
+        }
+
     def are_slides(self, joints: Sequence[str]) -> tuple[bool, ...]:
         slides = self.slides
         return tuple(joint in slides for joint in joints)
@@ -293,7 +300,6 @@ class Experiment:
 
 
 def load_experiment(path: str | Path, engine: str | None = None) -> Experiment:
-    """Read an experiment file."""
     document = load_document(path, ExperimentError)
     with document.blaming(ExperimentError):
         root = Section(_with_engine(document.values, engine), "", ExperimentError)

@@ -84,8 +84,6 @@ COMPOSED, SINGLE = "joint_controllers", "single_process"
 
 
 class GraphNodes:
-    """Starts the nodes of one run."""
-
     def __init__(
         self,
         experiment: Experiment,
@@ -326,7 +324,6 @@ class _GraphRun:
                 raise RunError(f"{self._label}: waited {within:g} s in vain for {what()}")
 
     def take_events(self) -> None:
-        """Read what the nodes have said."""
         for node in self._group.nodes.values():
             for event in node.read_events():
                 self._on_event(node.name, event)

@@ -179,7 +179,6 @@ def _domains_in_use() -> set[int]:
 
 
 def require_no_sockets(pids: Iterable[int]) -> None:
-    """Make sure that no process has a network socket."""
     for pid in pids:
         try:
             addresses = network_sockets(pid)

@@ -200,7 +200,6 @@ class JournalEntry:
 
     @classmethod
     def parse(cls, line: str) -> JournalEntry:
-        """Return the entry that :meth:`line` wrote."""
         saved = json.loads(line)
         if saved.pop("crc32") != zlib.crc32(json.dumps(saved).encode()):
             raise ValueError("not what was written")

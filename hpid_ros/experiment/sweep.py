@@ -359,8 +359,8 @@ class SweepResult:
             "units": {q.key: unit_over(q.unit, sweep.are_slides) for q in PAPER},
             "rows": [self._row(place, row) for place, row in enumerate(sweep.rows)],
             "parameters": {
-                label: {each.joint: dict(each.to_parameters()) for each in settings}
-                for label, settings in experiment.controllers.items()
+                label: loops
+                for label, loops in experiment.parameters().items()
                 if label in (experiment.baseline, sweep.controller)
             },
         }
@@ -378,18 +378,11 @@ class SweepResult:
         }
 
     def json(self) -> str:
-        """Return :meth:`as_mapping` as JSON text."""
         return json.dumps(self.as_mapping(), indent=2) + "\n"
 
-
-@dataclass(frozen=True)
-class SweepTable:
-    """Rows are points; columns are parameters, then median, quartiles and ratio of each index."""
-
-    result: SweepResult
-
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        sweep, table = self.result.sweep, self.result.table
+        """Yield a row a point: parameters, then median, quartiles and ratio of each index."""
+        sweep, table = self.sweep, self.table
         dash, marks = ("-", ASCII_MARKS) if options.ascii_only else ("–", MARKS)
         labels = [f"{e.label} (baseline)" if e.baseline is None else e.label for e in sweep.rows]
         names = [TableColumn("controller", labels, is_text=True)]
@@ -416,7 +409,7 @@ class SweepTable:
                     "ratio", [ratio_cell(x.median).styled(marks) if x else NOTHING for x in ratios]
                 ),
             ]
-        notes = [self.result.note(place) for place in range(len(sweep.rows))]
+        notes = [self.note(place) for place in range(len(sweep.rows))]
         if any(notes):
             columns.append(TableColumn("note", notes, is_text=True))
         yield WideTable(names, columns, box=SIMPLE)
@@ -428,11 +421,6 @@ class SweepTable:
             slides_note(sweep.judged, sweep.experiment.slides),
         ]
         yield Text("\n".join(filter(None, lines)), style="dim")
-
-
-def sweep_text(result: SweepResult) -> str:
-    """Return the table as plain text, one line a row however long it is."""
-    return grids_text([SweepTable(result)])
 
 
 def run_sweep(
@@ -450,5 +438,5 @@ def run_sweep(
     finally:
         folder.write("sweep.csv", result.runs_csv())
         folder.write("sweep.json", result.json())
-        folder.write("table.txt", sweep_text(result))
+        folder.write("table.txt", grids_text([result]))
     return result

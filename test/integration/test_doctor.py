@@ -35,8 +35,8 @@ def test_each_thing_has_a_line_and_two_nodes_meet_within_a_second(capsys, monkey
 
 
 def test_what_is_printed_says_what_to_do(capsys, monkeypatch):
-    bad = doctor.Finding("engines", doctor.BAD, "none", "pip install mujoco")
-    monkeypatch.setattr(doctor, "LOOKS", (lambda: bad, doctor.python))
+    bad = doctor.Finding(doctor.BAD, "none", "pip install mujoco")
+    monkeypatch.setattr(doctor, "LOOKS", {"engines": lambda: bad, "Python": doctor.python})
     assert main(["doctor"]) == FAILED
     first, second, third = capsys.readouterr().out.splitlines()
     assert first.split() == ["bad", "engines", "none"]

@@ -10,7 +10,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -61,7 +61,7 @@ from hpid_ros.experiment.study_plan import (
     plan_study,
     shard_of,
 )
-from hpid_ros.experiment.sweep import Axis, SweepTable, plan_sweep, run_sweep, sweep_text
+from hpid_ros.experiment.sweep import Axis, plan_sweep, run_sweep
 from hpid_ros.report.table import grids_markdown, grids_text
 
 
@@ -109,15 +109,17 @@ def _run_progress(console: Console, runs: int) -> Iterator[Callable[[RunRecord],
 
 
 def _print(
-    form: str, tables: Iterable[RenderableType], texts: Mapping[str, Callable[[], str]]
+    form: str, tables: Sequence[RenderableType], texts: Mapping[str, Callable[[], str]]
 ) -> None:
-    """Print a result: tables as wide as a terminal, or else the text of a format."""
-    if form == "table" and sys.stdout.isatty():
+    """Print a result: tables, on a terminal as wide as that, or the text of another format."""
+    if form in texts:
+        print(texts[form](), end="")
+    elif sys.stdout.isatty():
         console = output_console()
         for table in tables:
             console.print(table)
     else:
-        print(texts[form](), end="")
+        print(grids_text(tables), end="")
 
 
 def sweep(options: argparse.Namespace) -> int:
@@ -131,8 +133,7 @@ def sweep(options: argparse.Namespace) -> int:
     with _running(options, console, made, [experiment]) as (runner, folder):
         with folder, _run_progress(console, len(planned.tasks())) as ended:
             result = run_sweep(planned, folder, runner, ended)
-        texts = {"table": partial(sweep_text, result), "csv": result.summary_csv}
-        _print(options.format, [SweepTable(result)], {**texts, "json": result.json})
+        _print(options.format, [result], {"csv": result.summary_csv, "json": result.json})
     return FAILED if result.table.failures else DONE
 
 
@@ -195,13 +196,12 @@ def _shipped_files() -> list[Path]:
 
 def _print_study(result: StudyResult, form: str) -> None:
     tables = grids(result)
-    texts = {
-        "table": partial(grids_text, tables),
+    texts: dict[str, Callable[[], str]] = {
         "docs": partial(grids_markdown, tables),
         "csv": partial(runs_csv, result),
         "json": lambda: json.dumps(result.as_mapping(), indent=2) + "\n",
     }
-    _print("table" if form == "text" else form, tables, texts)
+    _print(form, tables, texts)
 
 
 def tune(options: argparse.Namespace) -> int:

@@ -1,11 +1,11 @@
-"""``hpid check-gains``: certificates and margins of every joint's loop."""
+"""``hpid check-gains``: certificates of every joint's loop; ``hpid gains``: gains by a rule."""
 
 from __future__ import annotations
 
 import argparse
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from rich.console import RenderableType, group
@@ -18,17 +18,21 @@ from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.cli.arguments import GAIN_OPTIONS
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
+    first_homogeneous,
     joint_progress,
     judged_loops,
     load_robot,
     loop_file,
+    named_experiment,
     shown_name,
     sliding_joints,
 )
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control.controller_files import ParameterFile
+from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.control.settings import LoopSettings
+from hpid_ros.experiment.description import Experiment, initial_inertias
 from hpid_ros.report.table import WideTable
 from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
@@ -39,9 +43,9 @@ from hpid_ros.stability.gain_check import (
     saved_certificates,
     verify,
 )
+from hpid_ros.tuning.gain_design import design, held_by_friction, yaml_text
 
 if TYPE_CHECKING:
-    from hpid_ros.experiment.description import Experiment
     from hpid_ros.robot.coupling import Settling
 
 
@@ -104,7 +108,6 @@ def _cells(verdict: GainVerdict) -> list[str | Text]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check the gains and print the verdicts."""
     if options.file:
         saved = saved_certificates(options.file)
         if saved:
@@ -194,3 +197,39 @@ def _loops(options: argparse.Namespace) -> tuple[Experiment | None, ParameterFil
     law = "hpid" if options.mu is not None else "pid"
     loop = LoopSettings.from_parameters({"joint": "joint", "law": law, **given})
     return None, ParameterFile({"joint": loop}, {})
+
+
+def gains(options: argparse.Namespace) -> int:
+    inertias: Mapping[str, float]
+    frictions: Mapping[str, float] = {}
+    slides = frozenset[str]()
+    if options.inertia is not None:
+        if options.experiment:
+            raise SettingError("--inertia is of one joint without a robot: name no FILE with it")
+        loops: dict[str, LoopSettings] = {"joint": LoopSettings("joint", Gains(0.0, 0.0, 0.0))}
+        inertias = {"joint": options.inertia}
+    else:
+        experiment = named_experiment(options.experiment)
+        loops = {each.joint: each for each in first_homogeneous(experiment)}
+        inertias = initial_inertias(experiment, tuple(loops.values()))
+        slides, frictions = experiment.slides, experiment.frictions
+    with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
+        designs = design(
+            loops, inertias, options.rule, options.closed_loop_time, options.delay, progress
+        )
+    designs |= {
+        joint: replace(each, reason=of_slide(each.reason))
+        for joint, each in designs.items()
+        if joint in slides
+    }
+    head = f"{options.rule}, closed-loop time {options.closed_loop_time:g} s"
+    head += f", delay {options.delay:g} s" if options.delay else ""
+    print(yaml_text(designs, head), end="")
+    errors = TextConsole(stderr=True)
+    for joint, friction in frictions.items():
+        line = held_by_friction(joint, designs[joint].gains.p, friction)
+        if line:
+            line = of_slide(line) if joint in slides else line
+            print(f"# {line}")
+            errors.print(line, soft_wrap=True)
+    return FAILED if any(each.reason for each in designs.values()) else DONE

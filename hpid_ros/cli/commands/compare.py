@@ -37,7 +37,6 @@ REPORT = "report.html"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the comparison and print what it gave."""
     formats = () if options.figures == ("none",) else options.figures
     require_formats(formats)
     if options.engine == BOTH:

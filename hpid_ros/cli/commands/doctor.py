@@ -12,9 +12,9 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.text import Text
 
@@ -39,11 +39,7 @@ _SETTINGS = (
 )
 
 
-@dataclass(frozen=True)
-class Finding:
-    """What was found of one thing."""
-
-    name: str
+class Finding(NamedTuple):
     state: str  # OK, NOTE or BAD
     found: str
     remedy: str = ""
@@ -52,22 +48,20 @@ class Finding:
 def run(options: argparse.Namespace) -> int:
     """Look at one thing after the other, and print each as soon as it is known."""
     console = output_console()
-    findings = []
-    for look in LOOKS:
+    findings = {}
+    for name, look in LOOKS.items():
         raise_if_interrupted()
-        findings.append(look())
+        findings[name] = look()
         if not options.json:
-            console.print(_line(findings[-1]), soft_wrap=True)
+            state, found, remedy = findings[name]
+            line = Text.assemble((f"{state:5}", _LOOKS[state]), f" {name:13} {found}")
+            console.print(line, soft_wrap=True)
+            if remedy:
+                console.print(f"      -> {remedy}", soft_wrap=True)
     if options.json:
-        print(json.dumps([asdict(each) for each in findings], indent=2))
-    return FAILED if any(each.state == BAD for each in findings) else DONE
-
-
-def _line(finding: Finding) -> Text:
-    line = Text.assemble(
-        (f"{finding.state:5}", _LOOKS[finding.state]), f" {finding.name:13} {finding.found}"
-    )
-    return line if not finding.remedy else line.append(f"\n      -> {finding.remedy}")
+        listed = [{"name": name, **each._asdict()} for name, each in findings.items()]
+        print(json.dumps(listed, indent=2))
+    return FAILED if any(each.state == BAD for each in findings.values()) else DONE
 
 
 def python() -> Finding:
@@ -75,8 +69,8 @@ def python() -> Finding:
     found = f"{version} in {sys.prefix}"
     oldest, newest = (".".join(map(str, each)) for each in _PYTHONS)
     if not _PYTHONS[0] <= sys.version_info[:2] <= _PYTHONS[1]:
-        return Finding("Python", NOTE, found, f"known to work are {oldest} to {newest}")
-    return Finding("Python", OK, found)
+        return Finding(NOTE, found, f"known to work are {oldest} to {newest}")
+    return Finding(OK, found)
 
 
 def ros() -> Finding:
@@ -84,7 +78,6 @@ def ros() -> Finding:
     spec = find_spec("rclpy")
     if spec is None or spec.origin is None:
         return Finding(
-            "ROS 2",
             BAD,
             "rclpy is not there: no nodes",
             'source /opt/ros/jazzy/setup.bash, or without ROS: pip install "hpid_ros[ros]"',
@@ -94,67 +87,59 @@ def ros() -> Finding:
     is_wheel = place.is_relative_to(sysconfig.get_path("purelib"))
     if is_wheel and distribution:
         return Finding(
-            "ROS 2",
             NOTE,
             f"wheels from PyPI in {place} hide the installed {distribution}",
             "pip uninstall ros-jazzy-rclpy, or do not source the installation",
         )
     if distribution not in ("", "jazzy"):
-        return Finding("ROS 2", NOTE, f"{distribution} in {place}", "known to work is jazzy")
-    return Finding("ROS 2", OK, f"{'wheels from PyPI' if is_wheel else 'jazzy'} in {place}")
+        return Finding(NOTE, f"{distribution} in {place}", "known to work is jazzy")
+    return Finding(OK, f"{'wheels from PyPI' if is_wheel else 'jazzy'} in {place}")
 
 
 def middleware() -> Finding:
     if find_spec("rclpy") is None:
-        return Finding("middleware", BAD, _NO_ROS)
+        return Finding(BAD, _NO_ROS)
     asked = os.environ.get("RMW_IMPLEMENTATION", "")
     program = "import rclpy; rclpy.init(); print(rclpy.get_rmw_implementation_identifier())"
     done = _python(program)
     if done.returncode:
         return Finding(
-            "middleware",
             BAD,
             f"{asked or 'the default'} does not load: {_last(done.stderr)}",
             "unset RMW_IMPLEMENTATION, or install what it names; install ROS 2 again",
         )
     name = done.stdout.split()[-1]
     if not name.startswith("rmw_fastrtps"):
-        return Finding(
-            "middleware", NOTE, name, "rates and delays of docs/performance.md are of Fast DDS"
-        )
-    return Finding("middleware", OK, name)
+        return Finding(NOTE, name, "rates and delays of docs/performance.md are of Fast DDS")
+    return Finding(OK, name)
 
 
 def discovery() -> Finding:
     """Whether a controller in another process is found, and answers a state."""
     given = ", ".join(f"{name}={os.environ[name]}" for name in _SETTINGS if name in os.environ)
     if find_spec("rclpy") is None:
-        return Finding("discovery", BAD, _NO_ROS)
+        return Finding(BAD, _NO_ROS)
     program = "from hpid_ros.live.discovery import time_to_answer; print(time_to_answer())"
     done = _python(program)
     if done.returncode:
-        return Finding("discovery", BAD, _last(done.stderr), "see ROS 2 and middleware above")
+        return Finding(BAD, _last(done.stderr), "see ROS 2 and middleware above")
     took = float(done.stdout.split()[-1])
     remedy = (
         f"{f'these settings count: {given}' if given else 'no setting of discovery is in the way'}"
         "; lo must be up, and a firewall let UDP through it (docs/faults.md)"
     )
     if math.isinf(took):
-        return Finding("discovery", BAD, "two nodes did not meet", remedy)
+        return Finding(BAD, "two nodes did not meet", remedy)
     found = f"a node in another process was found, and answered, within {took:.2f} s"
-    return Finding(
-        "discovery",
-        OK if took <= _FOUND_WITHIN else NOTE,
-        found,
-        "" if took <= _FOUND_WITHIN else f"that is slow; {remedy}",
-    )
+    if took > _FOUND_WITHIN:
+        return Finding(NOTE, found, f"that is slow; {remedy}")
+    return Finding(OK, found)
 
 
 def shared_memory() -> Finding:
     """Whether the closed runs of ``hpid compare`` have room for their messages."""
     if not SHARED_MEMORY.is_dir() or not os.access(SHARED_MEMORY, os.W_OK):
         return Finding(
-            "shared memory",
             BAD,
             f"{SHARED_MEMORY} is not there, or not writable: hpid compare and run need it",
             "mount a tmpfs there (docker run --ipc=private --shm-size=512m)",
@@ -163,8 +148,8 @@ def shared_memory() -> Finding:
     found = f"{free / 2**20:.0f} MB free in {SHARED_MEMORY}"
     if free < _ROOM:
         remedy = "remove what fills it, or make it larger (docker run --shm-size=512m)"
-        return Finding("shared memory", BAD, found, remedy)
-    return Finding("shared memory", OK, found)
+        return Finding(BAD, found, remedy)
+    return Finding(OK, found)
 
 
 def real_time() -> Finding:
@@ -174,13 +159,12 @@ def real_time() -> Finding:
     if _python(program).returncode:
         limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
         return Finding(
-            "real time",
             NOTE,
             f"SCHED_FIFO is refused (ulimit -r: {limit}), {kernel}",
             "for a real arm: '@realtime - rtprio 98' in /etc/security/limits.d/, this user in "
             "that group, then log in again",
         )
-    return Finding("real time", OK, f"SCHED_FIFO is granted, {kernel}")
+    return Finding(OK, f"SCHED_FIFO is granted, {kernel}")
 
 
 def engines() -> Finding:
@@ -195,10 +179,10 @@ def engines() -> Finding:
             found.append(name)
     remedy = f"pip install {'mujoco' if 'mujoco' not in found else 'pybullet'}"
     if not found:
-        return Finding("engines", BAD, "; ".join(failed) + ": no simulated robot", remedy)
+        return Finding(BAD, "; ".join(failed) + ": no simulated robot", remedy)
     if failed:
-        return Finding("engines", NOTE, f"{', '.join(found)}; {'; '.join(failed)}", remedy)
-    return Finding("engines", OK, ", ".join(found))
+        return Finding(NOTE, f"{', '.join(found)}; {'; '.join(failed)}", remedy)
+    return Finding(OK, ", ".join(found))
 
 
 def libraries() -> Finding:
@@ -208,10 +192,9 @@ def libraries() -> Finding:
         if find_spec(name) is None:
             missing.setdefault(library, []).append(name)
     if not missing:
-        return Finding("libraries", OK, ", ".join(asked))
+        return Finding(OK, ", ".join(asked))
     needs = (f"{', '.join(names)}, for {each.purpose}" for each, names in missing.items())
     return Finding(
-        "libraries",
         NOTE,
         f"not installed: {'; '.join(needs)}",
         f"pip install {' '.join(each.package for each in missing)}",
@@ -221,18 +204,26 @@ def libraries() -> Finding:
 def drawing() -> Finding:
     """Whether ``hpid render`` can draw."""
     if find_spec("mujoco") is None:
-        return Finding("OpenGL", NOTE, "not tried: hpid render draws with mujoco")
+        return Finding(NOTE, "not tried: hpid render draws with mujoco")
     program = "from hpid_ros.simulation.stage import gl_context; gl_context(64, 64).make_current()"
     done = _python(program)
     if done.returncode:
         found = _last(done.stderr).removesuffix(f": {_OPENGL}")
-        return Finding("OpenGL", NOTE, f"hpid render cannot draw: {found}", _OPENGL)
-    return Finding("OpenGL", OK, "hpid render can draw, no screen needed")
+        return Finding(NOTE, f"hpid render cannot draw: {found}", _OPENGL)
+    return Finding(OK, "hpid render can draw, no screen needed")
 
 
-LOOKS: tuple[Callable[[], Finding], ...] = (
-    *(python, ros, middleware, discovery, shared_memory, real_time, engines, libraries, drawing),
-)
+LOOKS: dict[str, Callable[[], Finding]] = {
+    "Python": python,
+    "ROS 2": ros,
+    "middleware": middleware,
+    "discovery": discovery,
+    "shared memory": shared_memory,
+    "real time": real_time,
+    "engines": engines,
+    "libraries": libraries,
+    "OpenGL": drawing,
+}
 
 
 def _python(program: str) -> subprocess.CompletedProcess[str]:

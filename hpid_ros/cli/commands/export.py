@@ -34,7 +34,6 @@ from hpid_ros.tuning.plugin_export import package_files, require_package
 
 
 def run(options: argparse.Namespace) -> int:
-    """Export, then write: all files or, where one cannot be, none."""
     experiment, parameters = loop_file(options.file)
     label, loops = options.controller, list(parameters.loops.values())
     if label is not None:

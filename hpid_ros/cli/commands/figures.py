@@ -33,7 +33,6 @@ FIGURES = "figures"  # name of their folder in a result
 
 
 def run(options: argparse.Namespace) -> int:
-    """Draw the figures and say where they are."""
     require_formats(options.formats)
     console = output_console()
     draw_result(console, options.result, options.formats, force=options.force)

@@ -35,7 +35,6 @@ _HEADER = (
 
 
 def run(options: argparse.Namespace) -> int:
-    """Identify the joints of a bag."""
     if options.effort_unit == "any" and not options.urdf:
         raise SettingError("--effort-unit any needs --urdf, whose masses fix the unit")
     if options.plot is not None:

@@ -44,7 +44,6 @@ from hpid_ros.stability.measured_margins import (
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compute, then write, then print."""
     experiment, file = loop_file(options.file)
     file = _chosen(file, experiment, options)
     judged = judged_loops(options, file)
@@ -162,7 +161,6 @@ def _given_friction(texts: Sequence[Sequence[str]], joints: Sequence[str]) -> di
 def _measured(
     options: argparse.Namespace, families: Sequence[LoopFamily]
 ) -> dict[str, MeasuredJoint]:
-    """Return the measured joints, by name."""
     if options.bag is None:
         return {}
 

@@ -176,7 +176,6 @@ def _inputs(options: argparse.Namespace) -> list[Path]:
 
 
 def write_outputs(options: argparse.Namespace, found: Summary) -> list[Path]:
-    """Write what was asked for."""
     written: list[Path] = []
     try:
         if options.save is not None:
@@ -237,7 +236,6 @@ def _report_text(found: Summary) -> str:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, compute, compare, and leave what was asked for."""
     if options.units not in ANGLE_UNITS:
         raise SettingError(unknown_name("unit of angles", options.units, ANGLE_UNITS))
     indices = options.indices.split(",")

@@ -54,7 +54,6 @@ from hpid_ros.tuning.upgrade import controller_section
 
 
 def agreed(question: str, *, is_given: bool) -> bool:
-    """Ask a person, and return whether the answer is yes."""
     if is_given:
         return True
     if not sys.stdin.isatty():

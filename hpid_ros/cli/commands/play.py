@@ -35,7 +35,6 @@ _CHOSEN = (_RANGE, "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERV
 
 
 def run(options: argparse.Namespace) -> int:
-    """Start everything, and look after it until somebody ends it."""
     if find_spec("rclpy") is None:
         raise LibraryError(
             "a robot to play with needs ROS 2 (rclpy): source its setup file, or pip install "

@@ -33,7 +33,6 @@ _SIZE = re.compile(r"(\d{1,5})x(\d{1,5})")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Draw the result and say where it is."""
     settings = _settings(options)
     is_still = options.at is not None
     if is_still and options.report:

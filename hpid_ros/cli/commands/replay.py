@@ -1,17 +1,20 @@
-"""``hpid replay``: whether every recorded command is what the law answers."""
+"""``hpid replay``: whether every recorded command is what the law answers; ``hpid repair``."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
 from functools import partial
+from pathlib import Path
 
 from hpid_ros.base.console import TextConsole
 from hpid_ros.base.processes import raise_if_interrupted
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import joint_progress
 from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.writer import repair_bag
 from hpid_ros.tuning.recorded_loops import read_records
 from hpid_ros.tuning.replay import Difference, JointVerdict, replay_joint
 
@@ -19,7 +22,6 @@ _SHOWN = 5
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay a bag, and say what came of it."""
     selection = BagSelection(
         namespace=options.namespace, states=options.states or None, commands=options.commands
     )
@@ -101,3 +103,21 @@ def _summary(verdicts: Sequence[JointVerdict]) -> str:
 
 def _count(number: int) -> str:
     return f"{number:,}".replace(",", " ")
+
+
+def repair(options: argparse.Namespace) -> int:
+    bag: Path = options.bag
+    found = bag.resolve()
+    name = found.name if found.is_dir() else found.stem
+    target = options.output or found.with_name(f"{name}_repaired")
+    with reading() as tell:
+        repaired = repair_bag(bag, target, partial(tell, bag.name))
+    for name, count in sorted(repaired.saved.items()):
+        print(f"saved: {count} messages on {name}")
+    if repaired.span_ns is not None:
+        first, last = (time_ns / NANOSECONDS for time_ns in repaired.span_ns)
+        print(f"saved: {last - first:.3f} s, from {first:.3f} s to {last:.3f} s")
+    for line in repaired.unreadable or ["nothing"]:
+        print(f"lost: {line}")
+    print(f"written: {repaired.target}")
+    return DONE

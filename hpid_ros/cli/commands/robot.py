@@ -33,7 +33,6 @@ _SHOWN = 3  # names in a remark
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show the robot."""
     if options.save:
         inputs = [Path(options.file)]
         refuse_output(options.save, force=options.force, inputs=inputs, option="--save")

@@ -10,6 +10,5 @@ from hpid_ros.experiment.description import experiment_schema
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the schema."""
     print(json.dumps(experiment_schema(), indent=2))
     return DONE

@@ -64,7 +64,6 @@ _BAGS = (".mcap", ".db3", ".zstd")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Upgrade a file or a bag, or verify a prediction."""
     if options.verify is not None:
         return _verify(options)
     if options.prediction is not None:
@@ -92,7 +91,6 @@ def _certifying(console: Console) -> Certifying:
 
 
 def _of_bag(options: argparse.Namespace) -> int:
-    """Identify, check, propose, predict, write."""
     files = _files(options)
     robot = load_robot(options.urdf)
     if Path(options.urdf).suffix not in _YAML:  # of a URDF the base stands still, as in identify
@@ -171,7 +169,6 @@ def _table(found: BagUpgrade) -> WideTable:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    """Compare a prediction with two recordings."""
     given = {
         "FILE or BAG": options.file,
         "--bag": options.bag,
@@ -235,7 +232,6 @@ def _verdict(found: Verification) -> Text:
 
 
 def _of_file(options: argparse.Namespace) -> int:
-    """Propose, predict, write."""
     inputs = [file for file in (options.file, options.bag) if file is not None]
     refuse_output(options.output, force=options.force, inputs=inputs, option="-o")
     console, errors = output_console(), TextConsole(stderr=True)
