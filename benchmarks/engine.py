@@ -17,7 +17,7 @@ from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.measuring import time_per_item
 from benchmarks.tracking import tracking
 from hpid_ros.control import JointLoop
-from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.description import Experiment, following_loops
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.engine import Sample, run_in_process
 from hpid_ros.simulation.mujoco import MujocoPhysics
@@ -199,10 +199,7 @@ def _recorded(experiment: Experiment, periods: int) -> tuple[list[Sample], tuple
 
 
 def _loops(experiment: Experiment) -> list[JointLoop]:
-    loops = [JointLoop(each) for each in experiment.controllers[LABEL]]
-    for loop in loops:
-        loop.follow(experiment.trajectory.column(loop.settings.joint))
-    return loops
+    return following_loops(experiment.controllers[LABEL], experiment.trajectory)
 
 
 def _bare_bullet(

@@ -24,8 +24,7 @@ import numpy as np
 import yaml
 
 from hpid_ros.base.files import find_resource
-from hpid_ros.control import JointLoop
-from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.experiment.description import Experiment, following_loops, load_experiment
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.motion.excitation import Design, JointBounds, Wish, plan
 from hpid_ros.robot.amendments import JointAmendment, amended
@@ -265,9 +264,7 @@ def _bounds(drawn: Drawn, name: str) -> JointBounds:
 def move(experiment: Experiment) -> Recording:
     """Return the run of an experiment's first controller along its trajectory."""
     settings = next(iter(experiment.controllers.values()))
-    loops = [JointLoop(each) for each in settings]
-    for loop in loops:
-        loop.follow(experiment.trajectory.column(loop.settings.joint))
+    loops = following_loops(settings, experiment.trajectory)
     models = compensators(settings, str(experiment.world.robot_description))
     periods = round(experiment.trajectory.points[-1].time_from_start_ns * 1e-9 / PERIOD)
     with World(experiment.world) as world:

@@ -30,8 +30,7 @@ from benchmarks.pendulums import LABEL, pendulum_experiment
 from benchmarks.processes import ROOT
 from benchmarks.scaling_plot import draw
 from hpid_ros.base.processes import heed_interrupts
-from hpid_ros.control import JointLoop
-from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.description import Experiment, following_loops
 from hpid_ros.experiment.graph_run import GraphOptions
 from hpid_ros.simulation.engine import Sample, run_in_process
 from hpid_ros.simulation.world import World
@@ -113,9 +112,7 @@ def _measure_of(form: str) -> Callable[[Experiment], Mapping[str, float]]:
 
 
 def _in_process(experiment: Experiment) -> Mapping[str, float]:
-    loops = [JointLoop(settings) for settings in experiment.controllers[LABEL]]
-    for loop in loops:
-        loop.follow(experiment.trajectory.column(loop.settings.joint))
+    loops = following_loops(experiment.controllers[LABEL], experiment.trajectory)
     with World(experiment.world) as world:
         periods = experiment.periods
         seconds = time_per_item(lambda: run_in_process(world, loops, periods, _ignore), periods)

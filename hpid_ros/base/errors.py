@@ -8,7 +8,7 @@ can still catch it. Messages are one line: what came, what is allowed, which nam
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from hpid_ros.base.text import bounded
 
@@ -85,3 +85,12 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
     further = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
     shown = ", ".join(names[:_SHOWN_NAMES]) + further
     return f"unknown {kind} {str(name)!r};{hint} known: {shown or 'none'}"
+
+
+def require_known(
+    kind: str, names: Iterable[str], known: Collection[str], error: type[HpidError] = SettingError
+) -> None:
+    """Refuse names that do not exist, the first of them as :func:`unknown_name` says it."""
+    for name in names:
+        if name not in known:
+            raise error(unknown_name(kind, name, known))

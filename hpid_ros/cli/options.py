@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
+from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, require_known
 from hpid_ros.base.files import find_resource, write_file
 from hpid_ros.base.records import Section, take_record
 from hpid_ros.base.yaml_files import load_document, load_yaml
@@ -36,8 +36,7 @@ def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
     """Return who is to compute the physics; None as the file says."""
     if options.engine is None:
         return (None,)
-    if options.engine not in (*ENGINES, BOTH):
-        raise SettingError(unknown_name("engine", options.engine, (*ENGINES, BOTH)))
+    require_known("engine", [options.engine], (*ENGINES, BOTH))
     engines = ENGINES if options.engine == BOTH else (options.engine,)
     for engine in engines:
         require_engine(engine)
@@ -77,7 +76,7 @@ def warn_unlimited(experiment: Experiment) -> None:
         if settings.effort.largest < LARGEST_EFFORT
     }
     world = experiment.world
-    known = RobotDescription.load(world.robot_description).joints
+    known = experiment.description.joints
     idle = [j for j in world.joints if known[j].effort == 0.0]
     if idle:
         print(
@@ -213,9 +212,7 @@ def inertias_from(
     for each in (text for texts in options.inertia for text in texts if _is_file(text)):
         in_file = _of_file(Path(each))
         of_one |= {joint: in_file[joint] for joint in joints if joint in in_file}
-    unknown = [joint for joint in of_one if joint not in joints]
-    if unknown:
-        raise SettingError(unknown_name("joint in --inertia", unknown[0], joints))
+    require_known("joint in --inertia", of_one, joints)
     if of_all and options.urdf:
         raise SettingError(
             "--inertia takes JOINT=M or JOINT=LOW:HIGH with --urdf, which says that of the others"
@@ -318,15 +315,7 @@ def loop_file(path: Path) -> tuple[Experiment | None, ParameterFile]:
 def require_controller(experiment: Experiment | None, label: str, file: Path) -> None:
     if experiment is None:
         raise SettingError(f"--controller is for experiments, and {file} is none")
-    if label not in experiment.controllers:
-        raise SettingError(unknown_name("controller", label, experiment.controllers))
-
-
-def require_joints(asked: Iterable[str], loops: Iterable[LoopSettings]) -> None:
-    known = list(dict.fromkeys(each.joint for each in loops))
-    for joint in asked:
-        if joint not in known:
-            raise SettingError(unknown_name("joint", joint, known))
+    require_known("controller", [label], experiment.controllers)
 
 
 def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:

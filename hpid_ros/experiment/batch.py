@@ -12,9 +12,8 @@ import numpy as np
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.processes import raise_if_interrupted, side_by_side
-from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.description import Experiment, following_loops
 from hpid_ros.messages.series import RunSeries, complete_run
 from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import CHATTER, ERROR_MAX, OVERSHOOT, PAPER, Fold, Quantity
@@ -129,9 +128,7 @@ class WorldKeeper(AbstractContextManager["WorldKeeper"]):
 
 
 def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
-    loops = [JointLoop(each) for each in task.loops]
-    for loop in loops:
-        loop.follow(task.trajectory.column(loop.settings.joint))
+    loops = following_loops(task.loops, task.trajectory)
     try:
         models = compensators(task.loops, str(task.world.robot_description))
         world = keeper.at_start(task.world)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.base.errors import ExperimentError, unknown_name
+from hpid_ros.base.errors import ExperimentError, require_known
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import Numbers
 from hpid_ros.experiment.description import Experiment
@@ -57,7 +57,6 @@ from hpid_ros.metrics.task import (
 from hpid_ros.motion.references import BrickGoal
 from hpid_ros.report.export import engine_grids, engines_csv, table_csv, table_latex
 from hpid_ros.report.table import Grid, grids_text, slides_note, table_text
-from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 from hpid_ros.simulation.gripper import (
     ANGLE,
@@ -160,8 +159,7 @@ def _from_place(
 
 def _frame(experiment: Experiment) -> TaskFrame | None:
     """Return the robot and its end effector; None where no driven joint moves that."""
-    world = experiment.world
-    description = RobotDescription.load(world.robot_description)
+    world, description = experiment.world, experiment.description
     if not moving_joints(description, experiment.end_effector).intersection(world.joints):
         return None
     return TaskFrame(description, experiment.end_effector, world.base, world.initial_positions)
@@ -313,8 +311,7 @@ def run_controller(
     is_tried: bool = False,
 ) -> tuple[RunReport, Result | None]:
     """Run one controller on the graph; what is not recorded has no result."""
-    if label not in experiment.controllers:
-        raise ExperimentError(unknown_name("controller", label, experiment.controllers))
+    require_known("controller", [label], experiment.controllers, ExperimentError)
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
         if experiment.engine_note:
             progress.note(experiment.engine_note)

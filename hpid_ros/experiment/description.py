@@ -17,6 +17,7 @@ from hpid_ros.base.records import Section
 from hpid_ros.base.schema import field_schema, partial_schema
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import EXTENDS, Document, load_document, parse_yaml
+from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.model import ModelSettings
 from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings
 from hpid_ros.motion.joint_trajectory import JointTrajectory
@@ -354,6 +355,16 @@ def _experiment(document: Document, root: Section) -> Experiment:
     )
 
 
+def following_loops(
+    settings: Iterable[LoopSettings], trajectory: JointTrajectory
+) -> list[JointLoop]:
+    """Return the loops of joints at their start, with their references."""
+    loops = [JointLoop(each) for each in settings]
+    for loop in loops:
+        loop.follow(trajectory.column(loop.settings.joint))
+    return loops
+
+
 def _require_before_end(world: WorldSettings, plan: BrickPlan | None, duration: float) -> None:
     """Refuse what would happen after the last control period has begun, which is never."""
     events = world.disturbances
@@ -387,8 +398,7 @@ def initial_inertias(
     An arm's joint has 1 / (M^-1)_jj on a base that is held, a wheel of a base that of the robot
     that rolls on it with its arm held, with the payload that the experiment begins with.
     """
-    world = experiment.world
-    description = RobotDescription.load(world.robot_description)
+    world, description = experiment.world, experiment.description
     payload = world.payload_mass, world.payload_link
     held = Dynamics(description, True, *payload)
     inertias = held.joint_inertias(world.joints, world.initial_positions)

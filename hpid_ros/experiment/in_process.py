@@ -21,9 +21,8 @@ from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.base.yaml_files import parse_yaml
-from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.experiment.description import Experiment, nested
+from hpid_ros.experiment.description import Experiment, following_loops, nested
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
@@ -226,9 +225,7 @@ def run_without_ros(
 ) -> RunReport:
     """Run one controller in this process and record it."""
     settings = experiment.controllers[label]
-    loops = [JointLoop(each) for each in settings]
-    for loop in loops:
-        loop.follow(experiment.trajectory.column(loop.settings.joint))
+    loops = following_loops(settings, experiment.trajectory)
     robot = str(experiment.world.robot_description)
     models = compensators(settings, robot)
     progress.phase(label, "running in this process")

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from hpid_ros.base.errors import HpidError, RunError, SettingError, unknown_name
+from hpid_ros.base.errors import HpidError, RunError, SettingError, require_known
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import Numbers, unit_over
 from hpid_ros.control.homogeneous_pid import Gains
@@ -86,9 +86,8 @@ def _check(
     numbers: Mapping[str, float], what: str, wanted: str, is_good: Callable[[float], bool]
 ) -> None:
     known = [quantity.key for quantity in PAPER]
+    require_known("index", numbers, known)
     for key, number in numbers.items():
-        if key not in known:
-            raise SettingError(unknown_name("index", key, known))
         if not (math.isfinite(number) and is_good(number)):
             raise SettingError(f"the {what} of {key} must be finite and {wanted}, not {number}")
     if not any(numbers.values()):
@@ -213,8 +212,7 @@ class SearchSpace:
         A homogeneous search has the baseline's gains; everything else is that of
         :func:`source_label`.
         """
-        if law not in LAWS:
-            raise SettingError(unknown_name("law", law, LAWS))
+        require_known("law", [law], LAWS)
         baseline = experiment.controllers[experiment.baseline]
         source = experiment.controllers[source_label(experiment, law)]
         start = tuple(
@@ -244,9 +242,9 @@ class SearchSpace:
             apply = partial(_homogeneous, scale.name)
             changed = ("mu", f"norm.{scale.name}", f"norm.{other.name}")
         parameters = {each.name: each for each in free}
-        for name, (low, high) in (bounds or {}).items():
-            if name not in parameters:
-                raise SettingError(unknown_name("free parameter", name, parameters))
+        bounds = bounds or {}
+        require_known("free parameter", bounds, parameters)
+        for name, (low, high) in bounds.items():
             parameters[name] = replace(parameters[name], low=low, high=high)
         joints = experiment.world.joints
         return cls(law, tuple(parameters.values()), apply, changed, start, joints)

@@ -16,7 +16,7 @@ from rich.box import SIMPLE
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.base.errors import HpidError, SettingError, require_known
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import unit_over
 from hpid_ros.control.settings import PARAMETERS, LoopSettings
@@ -63,8 +63,7 @@ class Axis:
         try:
             if not name or not rest:
                 raise SettingError(f"it must be {_FORMS}")
-            if name not in names:
-                raise SettingError(unknown_name("parameter", name, names))
+            require_known("parameter", [name], names)
             known = PARAMETERS.get(name)
             if known is not None and isinstance(known.default, str):
                 values = tuple(known.checked(part.strip()) for part in rest.split(","))
@@ -258,11 +257,8 @@ def plan_sweep(
     """
     labels = tuple(experiment.controllers)
     controller = controller or labels[min(1, len(labels) - 1)]
-    if controller not in labels:
-        raise SettingError(unknown_name("controller", controller, labels))
-    for joint in joints:
-        if joint not in experiment.world.joints:
-            raise SettingError(unknown_name("joint", joint, experiment.world.joints))
+    require_known("controller", [controller], labels)
+    require_known("joint", joints, experiment.world.joints)
     names = [axis.name for axis in axes]
     if not names:
         raise SettingError("nothing is varied: name at least one parameter")

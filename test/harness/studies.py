@@ -1,8 +1,10 @@
-"""Comparisons and studies, as a user runs them; waiting for what a process does."""
+"""Comparisons and studies, as a user runs them; processes, and waiting for what they do."""
 
 import json
+import os
 import threading
 import time
+from pathlib import Path
 
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.main import main
@@ -29,6 +31,19 @@ def wait_until(is_true, within=120.0):
     while not is_true():
         assert time.monotonic() < deadline, f"waited {within} s in vain"
         pause.wait(0.02)
+
+
+def children_of(parent=None):
+    """Return the processes that have this parent."""
+    found = Path(f"/proc/{parent or os.getpid()}/task").glob("*/children")
+    return [int(pid) for file in found for pid in file.read_text().split()]
+
+
+def is_alive(process):
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
+    except OSError:
+        return False
 
 
 def saved(folder):

@@ -78,6 +78,24 @@ def study_runs(monkeypatch):
 
 
 @contextmanager
+def _losing(label, error):
+    def run(task, keeper):
+        if task.label == label:
+            raise error
+        return simulated(task, keeper)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "simulated", run)
+        yield
+
+
+@pytest.fixture
+def losing():
+    """Return what makes a block in which the run of a label ends with an error."""
+    return _losing
+
+
+@contextmanager
 def _last_first():
     def run(tasks, jobs):
         return run_batch(dict(reversed(tasks.items())), 1)

@@ -5,11 +5,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import pytest
 from harness.places import ROOT
+from harness.studies import children_of, is_alive, wait_until
 
 pytest.importorskip("simple_pid", reason="the extra bench is not installed")
 
@@ -136,11 +135,11 @@ def test_a_bare_engine_makes_the_same_motion_as_the_loop(engine):
 
 def test_the_echo_graph_completes_its_cycles_and_leaves_nothing():
     joints = [f"joint_{k}" for k in range(8)]
-    before = set(_children())  # of other tests in this process
+    before = set(children_of())  # of other tests in this process
     found = run_floor(joints, "single", 300)
     assert found["cycles"] == 300
     assert found["rate"] > 10.0
-    assert set(_children()) <= before
+    assert set(children_of()) <= before
 
 
 def test_an_interrupt_ends_every_process():
@@ -151,29 +150,14 @@ def test_an_interrupt_ends_every_process():
         stderr=subprocess.DEVNULL,
     )
     try:
-        deadline = time.monotonic() + 60.0
-        while len(children := _children(benchmark.pid)) < 8 and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert len(children) >= 8
+        wait_until(lambda: len(children_of(benchmark.pid)) >= 8)
+        children = children_of(benchmark.pid)
         benchmark.send_signal(signal.SIGINT)
         assert benchmark.wait(20.0) == 130
-        assert not [pid for pid in children if _is_running(pid)]
+        assert not [pid for pid in children if is_alive(pid)]
     finally:
         benchmark.kill()
         benchmark.wait()
-
-
-def _children(parent=None):
-    """Return the processes that have this parent."""
-    found = Path(f"/proc/{parent or os.getpid()}/task").glob("*/children")
-    return [int(pid) for file in found for pid in file.read_text().split()]
-
-
-def _is_running(pid):
-    try:
-        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 @pytest.mark.parametrize("form", [FORMS["one process"], FORMS["a process each, and a merger"]])

@@ -72,22 +72,16 @@ def test_both_engines_are_two_whole_comparisons_and_their_distance(
     assert "--force" in refused(*command)
 
 
-@pytest.mark.parametrize("command", ["run", "sweep", "tune"])
-def test_commands_for_one_engine_take_one(command, tmp_path, refused):
-    options = {"sweep": ["--vary", "mu=0.1"], "tune": ["--law", "pid"]}.get(command, [])
-    line = refused(command, *options, "--engine", "both", "-o", tmp_path / "r")
-    assert "takes pybullet or mujoco" in line
-    assert "unknown engine 'bulet'" in refused(command, *options, "--engine", "bulet")
-
-
-@pytest.mark.parametrize("command", ["compare", "run", "sweep", "tune"])
-def test_an_engine_that_is_not_installed_is_one_line_and_leaves_no_folder(
+@pytest.mark.parametrize("command", ["compare", "study", "run", "sweep", "tune"])
+def test_an_engine_that_cannot_be_is_one_line_and_leaves_no_folder(
     command, tmp_path, monkeypatch, refused
 ):
-    monkeypatch.setitem(sys.modules, "pybullet", None)  # as if it were not
+    monkeypatch.setitem(sys.modules, "pybullet", None)  # as if it were not installed
     options = {"sweep": ["--vary", "mu=0.1"], "tune": ["--law", "pid"]}.get(command, [])
-    line = refused(command, *options, "--engine", "pybullet", "-o", tmp_path / "r")
-    assert "engine pybullet is not installed: pip install pybullet, or" in line
+    missing, takes = "is not installed: pip install pybullet, or", "takes pybullet or mujoco"
+    both = missing if command in ("compare", "study") else takes
+    for engine, said in {"pybullet": missing, "both": both, "bulet": "unknown engine"}.items():
+        assert said in refused(command, *options, "--engine", engine, "-o", tmp_path / "r")
     assert not (tmp_path / "r").exists()
 
 
@@ -108,31 +102,16 @@ def test_without_pybullet_one_line_says_who_computes(
     refused("sweep", unsaid, *options, tmp_path / "r")
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"compare": {"a/../b": {"mu": 0.1}}}, "a/../b"),
-        ({"durration": 1.0}, "did you mean 'duration'"),
-        ({"reference__positions": {"spine": [0.0] * 5}}, "unknown joint 'spine'"),
-    ],
-)
-def test_a_bad_experiment_is_one_line_and_leaves_no_folder(
-    experiment_file, tmp_path, refused, changes, words
+def test_what_cannot_be_read_run_or_written_is_one_line_and_leaves_no_folder(
+    experiment_file, tmp_path, refused
 ):
     folder = tmp_path / "result"
-    assert words in refused("compare", experiment_file(**changes), "-o", folder)
+    named = experiment_file(compare={"a/../b": {"mu": 0.1}})
+    assert "a/../b" in refused("compare", named, "-o", folder)
+    assert "cannot read none.yaml" in refused("compare", "none.yaml", "-o", folder)
     assert not folder.exists()
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        (["compare", "none.yaml"], "cannot read none.yaml"),
-        (["compare", "--in-process", "-o", "/proc/result"], "the result folder /proc/result"),
-    ],
-)
-def test_what_cannot_be_read_or_written_is_one_line(command, words, refused):
-    assert words in refused(*command)
+    told = refused("compare", "--in-process", "-o", "/proc/result")
+    assert "the result folder /proc/result" in told
 
 
 def test_what_the_system_refuses_is_one_line(monkeypatch, tmp_path, refused):
@@ -211,10 +190,10 @@ def test_a_shell_completes_commands_and_options():
     assert "--vary" in completed("hpid sweep --v")
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_is_printed_for_a_shell(shell, capsys):
-    assert main(["completion", shell]) == DONE
-    assert "_ARGCOMPLETE" in capsys.readouterr().out
+def test_completion_is_printed_for_a_shell(capsys):
+    for shell in ("bash", "zsh", "fish"):
+        assert main(["completion", shell]) == DONE
+        assert "_ARGCOMPLETE" in capsys.readouterr().out
 
 
 def test_joints_without_gains_are_named(experiment_file, tmp_path, capsys):

@@ -69,6 +69,11 @@ def test_a_middleware_that_does_not_load_ends_nothing(monkeypatch):
 
 def test_nodes_that_may_not_find_each_other_are_told_with_the_setting(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    run, soon = (
+        doctor._python,
+        "from hpid_ros.live import discovery as d; d._GIVEN_UP_AFTER = 0.5\n",
+    )
+    monkeypatch.setattr(doctor, "_python", lambda program: run(soon + program))
     found = doctor.discovery()
     assert found.state == doctor.BAD
     assert "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF" in found.remedy

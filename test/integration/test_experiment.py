@@ -1,6 +1,7 @@
 """Experiment files: what they give, and how bad ones are refused."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,28 +16,19 @@ from hpid_ros.motion.references import planned_reference
 from hpid_ros.robot.description import RobotDescription
 
 
-def test_the_motions_are_of_eight_joints_nine_seconds_and_two_controllers(experiment_file):
-    experiment = load_experiment(experiment_file(duration=9.0))
-    assert len(experiment.world.joints) == 8
-    assert experiment.periods == 9000
-    pid, hpid = experiment.controllers.values()
-    for linear, homogeneous in zip(pid, hpid, strict=True):
-        assert linear.gains == homogeneous.gains
-        assert (linear.law, homogeneous.law) == ("pid", "hpid")
-        assert homogeneous.mu != 0.0
-
-
 def test_later_layers_win(experiment_file):
     path = experiment_file(
         controllers__common__mu=0.1,
         controllers__joints__arm_joint_1__mu=0.2,
         compare__hPID={"mu": 0.3},
-        compare__PID={"law": "pid"},
+        compare__PID={"law": "pid", "joints": {"arm_joint_3": {"mu": 0.4, "gains": {"p": 99.0}}}},
     )
     experiment = load_experiment(path)
     assert {each.mu for each in experiment.controllers["hPID"]} == {0.3}
-    by_joint = {each.joint: each.mu for each in experiment.controllers["PID"]}
-    assert (by_joint["arm_joint_1"], by_joint["arm_joint_2"]) == (0.2, 0.1)
+    by_joint = {each.joint: each for each in experiment.controllers["PID"]}
+    assert [by_joint[f"arm_joint_{k}"].mu for k in (1, 2, 3)] == [0.2, 0.1, 0.4]
+    (other,) = [e for e in experiment.controllers["hPID"] if e.joint == "arm_joint_3"]
+    assert by_joint["arm_joint_3"].gains == replace(other.gains, p=99.0)
 
 
 def test_loops_know_the_robot_s_encoders_and_limits_unless_the_file_says_more(experiment_file):
@@ -88,6 +80,13 @@ def test_what_a_node_is_given_arrives_as_it_is(value):
         ({"reference__kind": "sinus"}, "did you mean 'sine'"),
         ({"reference__positions": {"elbow": [0.0, 1.0, 0.0, 0.0, 0.0]}}, "unknown joint 'elbow'"),
         ({"controllers__joints": {"arm_joint_7": {}}}, "did you mean 'arm_joint_"),
+        (
+            {"compare__PID__joints": {"arm_joint_9": {}}},
+            "compare.PID.joints: unknown joint 'arm_joint_9'",
+        ),
+        ({"judge": {"joints": ["arm_joint_9"]}}, "judge.joints: unknown joint 'arm_joint_9'"),
+        ({"judge": {"joints": []}}, "judge.joints must be a list of joints"),
+        ({"judge": {"joint": ["arm_joint_1"]}}, "did you mean 'judge.joints'"),
     ],
 )
 def test_bad_experiments_are_refused_in_one_line_that_names_the_place(

@@ -142,36 +142,6 @@ def test_a_robot_is_looked_for_beside_every_file_of_the_chain(write):
     assert Path(found).parent.name == "below"
 
 
-def test_a_controller_may_differ_joint_by_joint(write):
-    text = "extends: paper.yaml\ncompare:\n  PID:\n    velocity_filter_time_constant: 0.01\n"
-    text += "    joints: {arm_joint_2: {gains: {p: 99.0}, velocity_filter_time_constant: 0.02}}\n"
-    loops = {
-        each.joint: each for each in load_experiment(write("a.yaml", text)).controllers["PID"]
-    }
-    assert loops["arm_joint_2"].gains.p == 99.0
-    paper = {each.joint: each for each in load_experiment(PAPER).controllers["PID"]}
-    assert loops["arm_joint_2"].gains.d == paper["arm_joint_2"].gains.d
-    assert loops["arm_joint_2"].velocity.filter_time_constant == 0.02
-    assert loops["arm_joint_1"].velocity.filter_time_constant == 0.01
-    wrong = text.replace("arm_joint_2", "arm_joint_9")
-    with pytest.raises(ExperimentError, match=r"compare.PID.joints: unknown joint 'arm_joint_9'"):
-        load_experiment(write("b.yaml", wrong))
-
-
-@pytest.mark.parametrize(
-    ("judge", "words"),
-    [
-        ("{joints: [arm_joint_9]}", "judge.joints: unknown joint 'arm_joint_9'"),
-        ("{joints: []}", "judge.joints must be a list of joints"),
-        ("{joint: [arm_joint_1]}", "did you mean 'judge.joints'"),
-    ],
-)
-def test_judged_joints_are_checked(write, judge, words):
-    path = write("own.yaml", f"extends: paper.yaml\njudge: {judge}\n")
-    with pytest.raises(ExperimentError, match=words):
-        load_experiment(path)
-
-
 def test_judged_joints_are_in_the_robot_s_order_and_all_by_default(write):
     path = write("own.yaml", "extends: paper.yaml\njudge: {joints: [arm_joint_3, arm_joint_1]}\n")
     assert load_experiment(path).judged == ("arm_joint_1", "arm_joint_3")

@@ -18,7 +18,6 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.main import main
-from hpid_ros.experiment import batch
 from hpid_ros.experiment.batch import (
     LAST_ERROR,
     TOTAL,
@@ -156,8 +155,14 @@ def test_a_study_is_carried_on_where_it_was_left(studied, study_runs):
     assert not study_runs
 
 
-def test_only_what_still_holds_is_kept(studied, study_runs):
+def test_only_what_still_holds_is_kept_and_the_rest_until_it_is_replaced(
+    studied, study_runs, losing
+):
     files, folder = studied
+    before = (folder / "runs.jsonl").read_text()
+    with losing("calm PID seed=1", KeyboardInterrupt):  # an option was forgotten, and that noticed
+        assert study(files, folder, "--resume", "--joint", "arm_joint_2") == INTERRUPTED
+    assert sorted((folder / "runs.jsonl").read_text().splitlines()) == sorted(before.splitlines())
     document = yaml.safe_load(files[0].read_text())
     document["compare"]["hPID"]["mu"] = 0.1
     files[0].write_text(yaml.safe_dump(document))
@@ -166,24 +171,6 @@ def test_only_what_still_holds_is_kept(studied, study_runs):
     study_runs.clear()
     assert study(files, folder, "--resume", "--joint", "arm_joint_2") == DONE
     assert len(study_runs) == 8
-
-
-def test_runs_that_hold_no_more_stay_until_they_are_replaced(studied, study_runs, monkeypatch):
-    """Somebody forgot an option, and noticed at once."""
-    files, folder = studied
-    before = (folder / "runs.jsonl").read_text()
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(batch, "simulated", interrupted)
-        code = study(files, folder, "--resume", "--joint", "arm_joint_2")
-    assert code == INTERRUPTED
-    assert sorted((folder / "runs.jsonl").read_text().splitlines()) == sorted(before.splitlines())
-    study_runs.clear()
-    assert study(files, folder, "--resume") == DONE
-    assert study_runs == []
 
 
 VALUES = [None, [], {}, 1, "x", True, float("nan"), float("inf"), 10**400, [[1]], {"": [1]}]
@@ -227,17 +214,9 @@ def test_what_cannot_be_carried_on_or_merged_is_one_line(studied, tmp_path, refu
     assert not (tmp_path / "c").exists()
 
 
-def test_a_failed_run_is_named_and_made_again_when_carried_on(
-    studied, tmp_path, capsys, monkeypatch
-):
-    def fragile(task, keeper):
-        if task.label == "calm hPID seed=2":
-            raise ZeroDivisionError("by zero")
-        return simulated(task, keeper)
-
+def test_a_failed_run_is_named_and_made_again_when_carried_on(studied, tmp_path, capsys, losing):
     file = studied[0][0]
-    with monkeypatch.context() as patched:
-        patched.setattr(batch, "simulated", fragile)
+    with losing("calm hPID seed=2", ZeroDivisionError("by zero")):
         assert study([file], tmp_path / "f") == FAILED
     assert "1 of 2 runs failed: ZeroDivisionError: by zero" in capsys.readouterr().out
     assert saved(tmp_path / "f")["runs"] == {"planned": 4, "made": 4, "failed": 1}
@@ -245,14 +224,9 @@ def test_a_failed_run_is_named_and_made_again_when_carried_on(
     assert saved(tmp_path / "f")["runs"]["failed"] == 0
 
 
-def test_an_interrupt_leaves_what_was_run(studied, tmp_path, capsys, monkeypatch):
-    def interrupted(task, keeper):
-        if task.label == "calm hPID seed=2":
-            raise KeyboardInterrupt
-        return simulated(task, keeper)
-
-    monkeypatch.setattr(batch, "simulated", interrupted)
-    assert study(studied[0], tmp_path / "i") == INTERRUPTED
+def test_an_interrupt_leaves_what_was_run(studied, tmp_path, capsys, losing):
+    with losing("calm hPID seed=2", KeyboardInterrupt):
+        assert study(studied[0], tmp_path / "i") == INTERRUPTED
     assert f"what was run: {tmp_path / 'i'}" in capsys.readouterr().err
     assert saved(tmp_path / "i")["runs"]["made"] == 3
     assert "were not made" in (tmp_path / "i" / "tables.txt").read_text()

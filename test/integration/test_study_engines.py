@@ -1,4 +1,4 @@
-"""Studies of both engines, of one that is not there, and of robots that are not."""
+"""Studies of both engines, and of robots that are not there."""
 
 import csv
 import sys
@@ -72,18 +72,6 @@ def test_the_other_engine_is_added_to_a_study_and_what_both_give_is_compared(
     assert study(files, folder, "--engine", "both", "--resume") == DONE
     assert len(study_runs) == 2
     assert {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()} == whole
-
-
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
-def test_an_engine_that_is_not_installed_is_one_line_before_anything_runs(
-    studied, tmp_path, monkeypatch, refused, engine
-):
-    monkeypatch.setitem(sys.modules, engine, None)  # as if it were not
-    missing = "is not installed: pip install"
-    for wanted, words in ((engine, missing), ("both", missing), ("bullet", "unknown engine")):
-        options = ("--engine", wanted, "-o", tmp_path / "e")
-        assert words in refused("study", *studied[0], *options)
-        assert not (tmp_path / "e").exists()
 
 
 def test_robots_that_are_not_installed_are_named_and_left_out(monkeypatch, capsys):

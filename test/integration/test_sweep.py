@@ -8,18 +8,17 @@ import random
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from harness.studies import wait_until
+from harness.studies import children_of, is_alive, wait_until
 
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
-from hpid_ros.control import JointLoop
-from hpid_ros.experiment import batch
 from hpid_ros.experiment.batch import TOTAL, RunTask, WorldKeeper, run_batch, simulated
 from hpid_ros.experiment.compare import compute
-from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.description import following_loops, load_experiment
 from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.metrics.quantities import INDICES, PAPER
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
@@ -53,9 +52,7 @@ def test_numbers_are_those_of_the_comparison_to_the_last_bit(experiment_file, tm
 
 def trace(world, experiment):
     """Return everything that a controlled run shows of a world."""
-    loops = [JointLoop(each) for each in experiment.controllers["hPID"]]
-    for loop in loops:
-        loop.follow(experiment.trajectory.column(loop.settings.joint))
+    loops = following_loops(experiment.controllers["hPID"], experiment.trajectory)
     seen = []
 
     def look(sample):
@@ -121,22 +118,10 @@ def test_leaving_a_batch_early_ends_its_processes_and_is_nothing_to_warn_of(expe
 
 def workers(parent):
     """Return the processes of a batch."""
-    found = []
-    for status in Path("/proc").glob("[0-9]*/status"):
-        try:
-            is_child = f"\nPPid:\t{parent}\n" in status.read_text()
-            if is_child and b"LokyProcess" in (status.parent / "cmdline").read_bytes():
-                found.append(int(status.parent.name))
-        except OSError:  # it has just ended
-            continue
-    return found
-
-
-def is_alive(process):
-    try:
-        return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
-    except OSError:
-        return False
+    with suppress(OSError):  # one has just ended
+        found = children_of(parent)
+        return [k for k in found if b"LokyProcess" in Path(f"/proc/{k}/cmdline").read_bytes()]
+    return []
 
 
 def blocked_signals(process):
@@ -215,17 +200,10 @@ def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, hpi
     assert len({run["ivc"] for run in runs if run["seed"]}) == 6
 
 
-def test_a_failed_run_is_told_and_makes_the_exit_code(
-    experiment_file, tmp_path, hpid, monkeypatch
-):
-    def fragile(task, keeper):
-        if task.label == "hPID mu=0.1 seed=2":
-            raise ZeroDivisionError("by zero")
-        return simulated(task, keeper)
-
-    monkeypatch.setattr(batch, "simulated", fragile)
+def test_a_failed_run_is_told_and_makes_the_exit_code(experiment_file, tmp_path, hpid, losing):
     options = [experiment_file(duration=0.1), "--vary", "mu=0.1", "--seeds", 3, "--jobs", 1]
-    code, out, _ = hpid("sweep", *options, "-o", tmp_path / "s")
+    with losing("hPID mu=0.1 seed=2", ZeroDivisionError("by zero")):
+        code, out, _ = hpid("sweep", *options, "-o", tmp_path / "s")
     assert code == FAILED
     assert "1 of 3 runs failed: ZeroDivisionError: by zero" in out
     assert (tmp_path / "s" / "sweep.csv").read_text().count("ZeroDivisionError: by zero") == 1

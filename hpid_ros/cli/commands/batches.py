@@ -18,7 +18,7 @@ from pathlib import Path
 from rich.console import Console, RenderableType
 
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.errors import SettingError, require_known
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
@@ -239,9 +239,7 @@ def _least_cost(advanced: Callable[[str], None]) -> Callable[[Evaluation], None]
 
 def _search_plan(options: argparse.Namespace) -> SearchPlan:
     experiment = experiment_to_run(options)
-    for joint in options.joint:
-        if joint not in experiment.world.joints:
-            raise SettingError(unknown_name("joint", joint, experiment.world.joints))
+    require_known("joint", options.joint, experiment.world.joints)
     named = tuple(joint for joint in experiment.world.joints if joint in options.joint)
     bounds = {}
     for text in options.bounds:

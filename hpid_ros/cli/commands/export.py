@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.base.errors import HpidError, SettingError, require_known
 from hpid_ros.base.files import refuse_output
 from hpid_ros.base.names import node_sections
 from hpid_ros.base.yaml_files import load_document
@@ -22,7 +22,6 @@ from hpid_ros.cli.options import (
     load_robot,
     loop_file,
     require_controller,
-    require_joints,
     write_output,
 )
 from hpid_ros.control.settings import LoopSettings
@@ -40,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
         require_controller(experiment, label, options.file)
     if experiment is not None:
         loops = list(experiment.controllers[label] if label else first_homogeneous(experiment))
-    require_joints(options.joint, loops)
+    require_known("joint", options.joint, {each.joint for each in loops})
     chosen = [each for each in loops if not options.joint or each.joint in options.joint]
     loops = _within_robot(options, chosen)
     require_distinct([each.joint for each in loops])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hpid_ros import __version__
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.base.errors import HpidError, SettingError, require_known, unknown_name
 from hpid_ros.base.files import refuse_outputs
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
@@ -20,7 +20,6 @@ from hpid_ros.cli.options import (
     load_robot,
     loop_file,
     require_controller,
-    require_joints,
     shown_name,
     sliding_joints,
     write_output,
@@ -32,7 +31,6 @@ from hpid_ros.messages.run import read_run
 from hpid_ros.report.figures import require_picture
 from hpid_ros.report.margins import margin_table, margins_figure
 from hpid_ros.report.plots import render
-from hpid_ros.robot.description import RobotDescription
 from hpid_ros.stability.gain_check import Loop, check_gains
 from hpid_ros.stability.margins import LoopFamily, family_margins, loop_family
 from hpid_ros.stability.measured_margins import (
@@ -86,7 +84,7 @@ def _chosen(
     file: ParameterFile, experiment: Experiment | None, options: argparse.Namespace
 ) -> ParameterFile:
     """Return the loops of the joints and of the controller that are named."""
-    require_joints(options.joint, file.loops.values())
+    require_known("joint", options.joint, {each.joint for each in file.loops.values()})
     label = options.controller
     if label is not None:
         require_controller(experiment, label, options.file)
@@ -109,7 +107,7 @@ def _families(
     description = None
     if experiment is not None:
         world = experiment.world
-        description = RobotDescription.load(world.robot_description)
+        description = experiment.description
         period = world.control_period_ns * 1e-9
         delays = {
             joint: drive.delay * period

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from hpid_ros import __version__
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.errors import SettingError, require_known
 from hpid_ros.base.files import find_resource, refuse_outputs, write_file
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE
@@ -141,8 +141,7 @@ def _task_frame(options: argparse.Namespace) -> TaskFrame | None:
     file = find_resource(options.robot)
     if file.suffix in (".yaml", ".yml"):
         experiment = load_experiment(file)
-        world = experiment.world
-        description = RobotDescription.load(world.robot_description)
+        world, description = experiment.world, experiment.description
         base, others, link = world.base, world.initial_positions, experiment.end_effector
     else:
         description = RobotDescription.load(file)
@@ -236,8 +235,7 @@ def _report_text(found: Summary) -> str:
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.units not in ANGLE_UNITS:
-        raise SettingError(unknown_name("unit of angles", options.units, ANGLE_UNITS))
+    require_known("unit of angles", [options.units], ANGLE_UNITS)
     indices = options.indices.split(",")
     find_quantities(indices)
     refuse_existing(options)

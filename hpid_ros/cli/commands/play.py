@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hpid_ros.base.errors import ExperimentError, LibraryError, RunError, unknown_name
+from hpid_ros.base.errors import ExperimentError, LibraryError, RunError, require_known
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.cli.commands import DONE
@@ -42,8 +42,7 @@ def run(options: argparse.Namespace) -> int:
         )
     experiment = experiment_to_run(options)
     label = options.controller or list(experiment.controllers)[-1]
-    if label not in experiment.controllers:
-        raise ExperimentError(unknown_name("controller", label, experiment.controllers))
+    require_known("controller", [label], experiment.controllers, ExperimentError)
     require_node_names(experiment.world.joints)
     console = output_console()
     with (

@@ -82,7 +82,7 @@ def test_costs_and_limits_that_are_none_are_refused(kind, values, words):
         kind(values)
 
 
-@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=30))
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=12))
 def test_the_front_is_what_nothing_beats(points):
     front = pareto_front(points)
     for place in front:
