@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import select
@@ -34,6 +33,7 @@ from hpid_ros.experiment.processes import (
     NodeGroup,
     closed_environment,
     own_domain,
+    parameters,
     require_no_sockets,
 )
 from hpid_ros.simulation.gripper import task_topics
@@ -195,15 +195,6 @@ def require_node_names(joints: Iterable[str]) -> None:
                 f"joint {joint!r} cannot have a node, whose name is letters, digits and "
                 "underscores, the first no digit; --in-process needs none"
             )
-
-
-def parameters(**values: object) -> list[str]:
-    arguments = []
-    for name, value in values.items():
-        # ROS reads it as YAML, to which a path may be a comment or a mapping.
-        text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
-        arguments += ["-p", f"{name}:={text}"]
-    return arguments
 
 
 def run_on_graph(

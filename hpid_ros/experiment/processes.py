@@ -232,6 +232,16 @@ def module_of(executable: str) -> str:
     return f"hpid_ros.{executable}" if "." in executable else f"hpid_ros.nodes.{executable}"
 
 
+def parameters(**values: object) -> list[str]:
+    """Return the ROS arguments that set parameters."""
+    arguments = []
+    for name, value in values.items():
+        # ROS reads it as YAML, to which a path may be a comment or a mapping.
+        text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
+        arguments += ["-p", f"{name}:={text}"]
+    return arguments
+
+
 class NodeProcess:
     """One node in a process of its own, with a pipe for its events."""
 

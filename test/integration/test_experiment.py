@@ -10,8 +10,8 @@ import yaml
 from hpid_ros.base.errors import ExperimentError, TrajectoryError
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph_run import parameters
 from hpid_ros.experiment.in_process import write_reference
+from hpid_ros.experiment.processes import parameters
 from hpid_ros.motion.references import planned_reference
 from hpid_ros.robot.description import RobotDescription
 

@@ -103,18 +103,6 @@ def test_a_shared_experiment_is_found_by_its_name_and_one_beside_it_goes_first(w
     assert values(path) == {"name": "own"}
 
 
-def test_an_experiment_is_what_the_merged_file_says(write):
-    path = write(
-        "own.yaml", "extends: paper.yaml\nname: own\nseed: 9\ncompare: {hPID: {mu: 0.2}}\n"
-    )
-    own, paper = load_experiment(path), load_experiment(PAPER)
-    assert (own.name, own.seed, own.path) == ("own", 9, path.resolve())
-    assert own.trajectory == paper.trajectory
-    assert own.controllers["PID"] == paper.controllers["PID"]
-    assert {each.mu for each in own.controllers["hPID"]} == {0.2}
-    assert own.judged == paper.judged
-
-
 def test_the_digest_covers_what_is_extended(write):
     base = write("base.yaml", PAPER.read_text())
     path = write("own.yaml", "extends: base.yaml\nname: own\n")

@@ -59,8 +59,11 @@ def test_a_result_is_replaced_by_what_the_package_wrote_and_nothing_else_is_touc
     assert not (output / "nodes" / "PID").exists()
 
 
-def test_a_result_in_parts_is_replaced_as_a_whole(tmp_path):
-    output = tmp_path / "result"
+def test_a_result_in_parts_is_replaced_as_a_whole_and_its_paths_whatever_its_folder_is_called(
+    tmp_path,
+):
+    output = tmp_path / f"é und {'lang ' * 20}" / "result"
+    output.parent.mkdir()
     for text, is_new in (("old", False), ("new", True)):
         with ResultFolder.create(output, force=is_new) as folder:
             folder.write("both.txt", text)
@@ -71,7 +74,7 @@ def test_a_result_in_parts_is_replaced_as_a_whole(tmp_path):
                 write_file(part.bag("PID") / "PID.mcap", text)
                 part.write(f"figures/{text}.png", text)
                 place = part.nodes("PID")
-                (place / "controllers.yaml").write_text(f"robot: {place.resolve()}/robot.urdf")
+                write_document(place / "bridge.yaml", {"robot": f"{place.resolve()}/robot.urdf"})
         if not is_new:
             write_file(output / "mujoco" / "note.txt", "mine")
     files = files_in(output)
@@ -79,8 +82,8 @@ def test_a_result_in_parts_is_replaced_as_a_whole(tmp_path):
     assert {name for name in files if "old" in name} == set()
     for engine in ("pybullet", "mujoco"):
         assert files[f"{engine}/bags/PID/PID.mcap"] == b"new"
-        named = files[f"{engine}/nodes/PID/controllers.yaml"].decode()
-        assert named == f"robot: {output.resolve()}/{engine}/nodes/PID/robot.urdf"
+        named = yaml.safe_load(files[f"{engine}/nodes/PID/bridge.yaml"].decode())["robot"]
+        assert named == f"{output.resolve()}/{engine}/nodes/PID/robot.urdf"
 
 
 def ended_by(error, output, force):
@@ -94,19 +97,6 @@ def ended_by(error, output, force):
 
     with pytest.raises(error):
         run()
-
-
-def test_paths_in_a_result_follow_it_whatever_its_folder_is_called(tmp_path):
-    output = tmp_path / f"é und {'lang ' * 20}" / "result"
-    output.parent.mkdir()
-    for is_new in (False, True):
-        with ResultFolder.create(output, force=is_new) as folder:
-            folder.write("result.json", "{}")
-            place = folder.nodes("PID")
-            write_document(place / "bridge.yaml", {"world_file": f"{place.resolve()}/world.yaml"})
-    (file,) = output.glob("nodes/PID/bridge.yaml")
-    named = yaml.safe_load(file.read_text(encoding="utf-8"))["world_file"]
-    assert named == f"{output.resolve()}/nodes/PID/world.yaml"
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ExperimentError])

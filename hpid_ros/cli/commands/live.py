@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from hpid_ros.base.errors import LibraryError
 from hpid_ros.base.processes import uninterrupted
 from hpid_ros.experiment.forking import Beginning
+from hpid_ros.experiment.processes import parameters
 
 _ENDS_WITHIN = 10.0  # [s]
 
@@ -22,7 +23,15 @@ def run(options: argparse.Namespace) -> int:
             "the live page needs ROS 2 (rclpy): source its setup file, or pip install "
             "'hpid_ros[ros]'"
         )
-    command = [sys.executable, "-m", "hpid_ros.live.live_tuner", "--ros-args", *_given(options)]
+    given = parameters(
+        host=options.host,
+        port=options.port,
+        token=options.token,
+        open_browser=not options.no_browser,
+        rate=options.rate,
+        button_timeout=options.button_timeout,
+    )
+    command = [sys.executable, "-m", "hpid_ros.live.live_tuner", "--ros-args", *given]
     with uninterrupted():
         process = subprocess.Popen(command, preexec_fn=Beginning(signal.SIGTERM))
     try:
@@ -35,20 +44,3 @@ def run(options: argparse.Namespace) -> int:
             process.kill()
             code = process.wait()
     return code if code >= 0 else 128 - code
-
-
-def _given(options: argparse.Namespace) -> list[str]:
-    parameters = {
-        "host": _text(options.host),
-        "port": options.port,
-        "token": _text(options.token),
-        "open_browser": str(not options.no_browser).lower(),
-        "rate": float(options.rate),
-        "button_timeout": float(options.button_timeout),
-    }
-    return [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
-
-
-def _text(value: str) -> str:
-    """Return a text as YAML, which takes it for no number."""
-    return "'" + value.replace("'", "''") + "'"

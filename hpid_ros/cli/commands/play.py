@@ -19,14 +19,14 @@ from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import experiment_to_run
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph_run import COMPOSED, REFERENCE, parameters, require_node_names
+from hpid_ros.experiment.graph_run import COMPOSED, REFERENCE, require_node_names
 from hpid_ros.experiment.in_process import (
     bridge_document,
     bridge_name,
     write_document,
     write_run_files,
 )
-from hpid_ros.experiment.processes import NodeGroup
+from hpid_ros.experiment.processes import NodeGroup, parameters
 
 _PAGE = "live_tuner"
 _STARTS_WITHIN, _LOOK_PERIOD, _ENDS_WITHIN = 60.0, 0.1, 10.0  # [s]

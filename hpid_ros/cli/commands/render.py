@@ -58,10 +58,8 @@ def run(options: argparse.Namespace) -> int:
     count = len(film.frames)
     what = "1 picture" if count == 1 else f"{count} pictures"
     console.print(f"{what}, {len(content) / 1e6:.2f} MB")
-    places = {"written": target}
-    print_result_places(
-        console, places | ({"report": result / "report.html"} if options.report else {})
-    )
+    report = {"report": result / REPORT} if options.report else {}
+    print_result_places(console, {"written": target} | report)
     return DONE
 
 
