@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.table import Table
 
 from benchmarks import results
-from benchmarks.figures import Group, Outcome
+from benchmarks.figures import Group, Middle, Outcome
 from benchmarks.measuring import figures_of
 from benchmarks.processes import ROOT
-from benchmarks.table import print_table, wide_console
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.processes import heed_interrupts
 
@@ -29,14 +29,7 @@ _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure what the arguments name.
-
-    Args:
-        arguments: Those of the command line; None for the process's own.
-
-    Returns:
-        The exit code.
-    """
+    """Measure what the arguments name."""
     options = _parser().parse_args(arguments)
     console, errors = wide_console(), Console(stderr=True)
     heed_interrupts()
@@ -84,14 +77,7 @@ def _measure(
 
 
 def all_groups(quick: bool) -> list[Group]:
-    """Return every group of figures.
-
-    Args:
-        quick: Whether short measurements will do.
-
-    Raises:
-        ImportError: A library that the benchmarks need is not installed.
-    """
+    """Return every group of figures."""
     try:
         from benchmarks import (
             answers,
@@ -151,6 +137,63 @@ def _parser() -> argparse.ArgumentParser:
         "--output", type=Path, default=RESULTS, metavar="FOLDER", help="where the file goes"
     )
     return parser
+
+
+_VERDICTS = {True: "met", False: "MISSED", None: ""}
+_STYLES = {True: "green", False: "bold red", None: ""}
+_PERCENT = 100.0
+_WIDTH = 120
+
+
+def wide_console() -> Console:
+    """Return a console that holds the table.
+
+    A narrower terminal wraps its lines: a table whose numbers are cut off says nothing.
+    """
+    console = Console()
+    return console if console.width >= _WIDTH else Console(width=_WIDTH)
+
+
+def print_table(console: Console, outcomes: Sequence[Outcome]) -> None:
+    """Print one row for each figure, and beneath them what was measured beside."""
+    table = Table(box=None, header_style="dim", padding=(0, 2, 0, 0))
+    for heading in ("figure", "ours", "±", "reference", "±", "unit", "ratio", "target", ""):
+        is_text = heading in ("figure", "unit", "target", "")
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
+    for outcome in outcomes:
+        verdict = outcome.is_met
+        table.add_row(
+            outcome.figure.name,
+            *_cells(outcome.ours),
+            *_cells(outcome.reference),
+            outcome.figure.unit,
+            f"{outcome.ratio.median:.3g}",
+            ", ".join(str(bound) for bound in outcome.figure.bounds),
+            f"[{_STYLES[verdict]}]{_VERDICTS[verdict]}[/]" if verdict is not None else "",
+        )
+    console.print(table)
+    console.print()
+    for outcome in outcomes:
+        console.print(
+            _explained(outcome), style="dim", highlight=False, markup=False, soft_wrap=True
+        )
+
+
+def _cells(values: Middle) -> tuple[str, str]:
+    return _number(values.median), f"{_PERCENT * values.spread:.0f} %"
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+
+
+def _explained(outcome: Outcome) -> str:
+    figure = outcome.figure
+    line = f"{figure.name}: {figure.ours.contender} / {figure.reference.contender}"
+    rounds = f"{outcome.rounds} round{'s' if outcome.rounds > 1 else ''}"
+    line += f" ({figure.against}), {rounds}"
+    beside = "; ".join(f"{name} {_number(value)}" for name, value in outcome.beside.items())
+    return f"{line}; {beside}" if beside else line
 
 
 if __name__ == "__main__":

@@ -27,11 +27,7 @@ _GRAPH_MOST = {"mujoco": 1.2, "pybullet": 1.6}
 
 
 def group(quick: bool) -> Group:
-    """Return the figures of whole commands.
-
-    Args:
-        quick: Whether the graph may be left out.
-    """
+    """Return the figures of whole commands."""
     contenders: dict[str, Measure] = {
         "hpid compare": _compare_here,
         "its simulation": _simulation,

@@ -112,12 +112,7 @@ class SimulatedLoop:
 def random_loop(
     random: np.random.Generator, *, is_in_effort: bool
 ) -> tuple[Gains, str, NormOfDegree]:
-    """Return gains, the kind of norm, and the norm of every degree.
-
-    Args:
-        random: Chance.
-        is_in_effort: Whether the norm is that of ``norm.effort_scale``.
-    """
+    """Return gains, the kind of norm, and the norm of every degree."""
     gain_p = float(10.0 ** random.uniform(-0.5, 2.5))
     damping = float(10.0 ** random.uniform(-0.7, 0.7))
     gain_d = 2.0 * damping * math.sqrt(gain_p)

@@ -86,15 +86,7 @@ VARIANTS: dict[str, Callable[[], AbstractContextManager[GraphOptions]]] = {
 
 
 def rate(variant: str, seconds: float) -> float:
-    """Return the cycles per second of one run.
-
-    Args:
-        variant: One of :data:`VARIANTS`.
-        seconds: Simulated time in [s].
-
-    Raises:
-        RunError: The run failed.
-    """
+    """Return the cycles per second of one run."""
     experiment = replace(tracking(physics_steps=1), duration=seconds)
     with TemporaryDirectory(prefix="hpid_bench_") as folder, VARIANTS[variant]() as options:
         report = graph_run.run_on_graph(

@@ -28,11 +28,7 @@ _LONGEST = 60.0  # [us] a sample
 
 
 def group(quick: bool) -> Group:
-    """Return the figures of the models' terms.
-
-    Args:
-        quick: Whether fewer samples will do.
-    """
+    """Return the figures of the models' terms."""
     count = _SAMPLES_QUICK if quick else _SAMPLES
     bare = "Pinocchio's calls alone"
     contenders: dict[str, Measure] = {

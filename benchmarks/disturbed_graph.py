@@ -30,43 +30,23 @@ _PAUSE = 0.02  # [s]
 
 @dataclass
 class Fault:
-    """One fault of one controller.
+    """One fault of one controller."""
 
-    Attributes:
-        joint: Whose controller it hits.
-        kind: One of :data:`KINDS`.
-        begin_ns: Simulated time last told before it was injected, in [ns]. From here on the joint
-            may differ, though no state goes unanswered: an ended controller's last zero replaces
-            its answer, and a successor may be up before the bridge gives the joint up.
-        silent_ns: Stamp of the first state that the joint did not answer, in [ns]; None if the
-            controller was back before the bridge gave it up.
-        back_ns: Simulated time at which the joint was seen to answer again, in [ns].
-    """
-
-    joint: str
-    kind: str
+    joint: str  # whose controller it hits
+    kind: str  # one of :data:`KINDS`
+    # simulated time last told before it was injected, in [ns]. From here on the joint may differ,
+    # though no state goes unanswered: an ended controller's last zero replaces its answer, and a
+    # successor may be up before the bridge gives the joint up
     begin_ns: int
+    # stamp of the first state that the joint did not answer, in [ns]; None if the controller was
+    # back before the bridge gave it up
     silent_ns: int | None = None
+    # simulated time at which the joint was seen to answer again, in [ns]
     back_ns: int | None = None
 
 
 class DisturbedGraph:
-    """One run whose controllers are disturbed at random, one at a time.
-
-    Args:
-        experiment: The experiment.
-        label: Which of its controllers.
-        group: Takes the processes.
-        folder: Existing folder for parameter files and logs.
-        bag: Folder of the bag to create; None records nothing.
-        chance: Decides what happens when, and to whom.
-
-    Attributes:
-        nodes: The names of the processes.
-        faults: What was done so far.
-        misses: ``(joint, stamp_ns)`` of each joint that the bridge gave up.
-        events: The last event of each name of each process.
-    """
+    """One run whose controllers are disturbed at random, one at a time."""
 
     def __init__(
         self,
@@ -91,11 +71,7 @@ class DisturbedGraph:
         self._next_ns = 0
 
     def start(self) -> None:
-        """Start every node and wait for the first state.
-
-        Raises:
-            RunError: A node failed.
-        """
+        """Start every node and wait for the first state."""
         self.nodes.start(self._group)
         self._processes.update(self._group.nodes)
         self._wait(lambda: (self.nodes.bridge, "started") in self.events, _UP_WITHIN, "a start")
@@ -111,11 +87,7 @@ class DisturbedGraph:
         return {name: process.pid for name, process in self._processes.items()}
 
     def look(self) -> None:
-        """Take what the nodes have told since the last look.
-
-        Raises:
-            RunError: A node failed, or ended by itself.
-        """
+        """Take what the nodes have told since the last look."""
         time.sleep(_PAUSE)
         raise_if_interrupted()
         for name, process in self._processes.items():
@@ -134,14 +106,8 @@ class DisturbedGraph:
     def disturb_when_due(self, until_ns: int | None = None) -> bool:
         """Inject one fault if it is time for the next, and see it through to its end.
 
-        Args:
-            until_ns: Inject nothing later than this, in [ns].
-
         Returns:
             Whether there was a fault.
-
-        Raises:
-            RunError: The joint was not answered for again.
         """
         if self.stamp_ns < self._next_ns or self.is_finished:
             return False

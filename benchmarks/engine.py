@@ -34,11 +34,7 @@ Efforts = Sequence[Sequence[float]]
 
 
 def group(quick: bool) -> Group:
-    """Return the figures of the engines, of the in-process loop and of the bridge's physics.
-
-    Args:
-        quick: Whether a shorter run will do.
-    """
+    """Return the figures of the engines, of the in-process loop and of the bridge's physics."""
     periods = _PERIODS_QUICK if quick else _PERIODS
     contenders: dict[str, Measure] = {}
     figures: list[Figure] = []
@@ -72,12 +68,7 @@ def _label(world: WorldSettings) -> str:
 
 
 class _Study:
-    """One experiment, measured with and without the package around its engine.
-
-    Args:
-        experiment: The experiment.
-        periods: Control periods to run.
-    """
+    """One experiment, measured with and without the package around its engine."""
 
     def __init__(self, experiment: Experiment, periods: int) -> None:
         self._experiment, self._periods = experiment, periods
@@ -96,11 +87,7 @@ class _Study:
         }
 
     def figures(self, end: str) -> list[Figure]:
-        """Return the figures of this engine and number of steps.
-
-        Args:
-            end: The end of their names.
-        """
+        """Return the figures of this engine and number of steps."""
         end = f".{self._world.engine}{end}"
         bare, against = Source(f"bare {self._label}", "time"), f"bare {self._label} a period"
         both = Source(f"bare {self._label}, and loops", "time")
@@ -180,12 +167,7 @@ class _Study:
 
 
 def recorded_efforts(experiment: Experiment, periods: int) -> Efforts:
-    """Return the efforts that the loops give in each control period, in [N m].
-
-    Args:
-        experiment: The experiment.
-        periods: Control periods to run.
-    """
+    """Return the efforts that the loops give in each control period, in [N m]."""
     samples, _ = _recorded(experiment, periods)
     return [tuple(sample.efforts) for sample in samples[:periods]]
 

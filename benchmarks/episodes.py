@@ -35,31 +35,22 @@ _NS = 1e9
 
 @dataclass(frozen=True)
 class Episode:
-    """One disturbed run beside its undisturbed one.
+    """One disturbed run beside its undisturbed one."""
 
-    Attributes:
-        faults: What was done.
-        states: States of the run.
-        unplanned: Joints that the bridge gave up without a fault.
-        is_equal_before: Whether all positions equal those of the undisturbed run to the last bit
-            up to the last state told before the first fault.
-        others: Largest distance of a joint that was not disturbed from its undisturbed path, in
-            [rad].
-        unsettled: Largest such distance of a disturbed joint, ``SETTLE`` after its return, in
-            [rad].
-        takeover: Largest first effort of a restarted controller, beyond what damps twice the
-            joint's velocity, in [N m].
-        longest_cycle: Longest wall time between two states, in [s].
-    """
-
-    faults: Sequence[Fault]
-    states: int
-    unplanned: int
+    faults: Sequence[Fault]  # what was done
+    states: int  # states of the run
+    unplanned: int  # joints that the bridge gave up without a fault
+    # whether all positions equal those of the undisturbed run to the last bit up to the last state
+    # told before the first fault
     is_equal_before: bool
+    # largest distance of a joint that was not disturbed from its undisturbed path, in [rad]
     others: float
+    # largest such distance of a disturbed joint, ``SETTLE`` after its return, in [rad]
     unsettled: float
+    # largest first effort of a restarted controller, beyond what damps twice the joint's velocity,
+    # in [N m]
     takeover: float
-    longest_cycle: float
+    longest_cycle: float  # longest wall time between two states, in [s]
 
     def broken(self) -> list[str]:
         """Return a line for each bound that was not kept."""
@@ -79,11 +70,6 @@ def sines(folder: Path, motion: float, duration: float | None = None) -> Experim
 
     Motions longer than ten minutes have longer periods, so that the trajectory's message does not
     grow with them.
-
-    Args:
-        folder: Existing folder for the experiment's file.
-        motion: Length of the sines in [s].
-        duration: Stamp of the last state in [s]; that of the motion's end if not given.
     """
     slower = max(1.0, motion / _SAME_PERIODS_UP_TO)
     base = tracking()
@@ -115,17 +101,7 @@ def undisturbed(experiment: Experiment) -> RunSeries:
 
 
 def run_episode(experiment: Experiment, calm: RunSeries, folder: Path, seed: int) -> Episode:
-    """Run once under faults and compare.
-
-    Args:
-        experiment: The experiment.
-        calm: Its undisturbed run.
-        folder: New folder for bag and logs.
-        seed: Of the faults.
-
-    Raises:
-        RunError: The graph failed.
-    """
+    """Run once under faults and compare."""
     folder.mkdir()
     last_ns = round((experiment.duration - _LAST_FAULT) * _NS)
     with (
@@ -188,12 +164,7 @@ def _episode(
 
 
 def is_planned(miss: tuple[str, int], faults: Sequence[Fault]) -> bool:
-    """Tell whether a joint was given up because of a fault of its own controller.
-
-    Args:
-        miss: The joint, and the stamp of the first state that it did not answer in [ns].
-        faults: What was done.
-    """
+    """Tell whether a joint was given up because of a fault of its own controller."""
     joint, stamp_ns = miss
     return any(
         fault.joint == joint

@@ -27,14 +27,7 @@ _HEADER = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run as long as the arguments say and print what came of it.
-
-    Args:
-        arguments: Those of the command line; None for the process's own.
-
-    Returns:
-        The exit code.
-    """
+    """Run as long as the arguments say and print what came of it."""
     options = _parser().parse_args(arguments)
     if not options.minutes > 0.0:
         print(f"--minutes must be positive, not {options.minutes:g}", file=sys.stderr)
@@ -57,9 +50,7 @@ def _run(folder: Path, minutes: float, seed: int) -> int:
     experiment = sines(folder, length)
     calm = undisturbed(experiment)
     results: list[Episode] = []
-    print(
-        " episode  faults  states  others [rad]  settled [rad]  takeover [N m]  longest cycle [s]"
-    )
+    print(_HEADER)
     for number in range(episodes):
         place = folder / f"episode_{number}"
         result = run_episode(experiment, calm, place, seed + number)

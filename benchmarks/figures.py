@@ -13,29 +13,18 @@ Measure = Callable[[], Mapping[str, float]]
 
 
 class Source(NamedTuple):
-    """Where one side of a figure comes from.
+    """Where one side of a figure comes from."""
 
-    Attributes:
-        contender: Name of what is measured.
-        quantity: Which of its quantities.
-    """
-
-    contender: str
-    quantity: str
+    contender: str  # name of what is measured
+    quantity: str  # which of its quantities
 
 
 class Bound(NamedTuple):
-    """What is asked of a figure.
+    """What is asked of a figure."""
 
-    Attributes:
-        of: ``ratio`` or ``ours``.
-        least: It must not be below this.
-        most: It must not be above this.
-    """
-
-    of: str
-    least: float = -math.inf
-    most: float = math.inf
+    of: str  # ``ratio`` or ``ours``
+    least: float = -math.inf  # it must not be below this
+    most: float = math.inf  # it must not be above this
 
     def __str__(self) -> str:
         """Return it as the table shows it, for instance ``ratio >= 0.75``."""
@@ -46,54 +35,33 @@ class Bound(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure to measure.
+    """A figure to measure."""
 
-    Attributes:
-        name: Its name in the results.
-        unit: Unit of both sides.
-        ours: What the package does.
-        reference: Its limit or peer.
-        against: The reference in a few words.
-        bounds: What is asked.
-        beside: Further quantities of the package's side that are shown with it.
-    """
-
-    name: str
-    unit: str
-    ours: Source
-    reference: Source
-    against: str
-    bounds: tuple[Bound, ...] = ()
-    beside: tuple[str, ...] = ()
+    name: str  # its name in the results
+    unit: str  # unit of both sides
+    ours: Source  # what the package does
+    reference: Source  # its limit or peer
+    against: str  # the reference in a few words
+    bounds: tuple[Bound, ...] = ()  # what is asked
+    beside: tuple[str, ...] = ()  # further quantities of the package's side that are shown with it
 
 
 @dataclass(frozen=True)
 class Group:
-    """Figures whose contenders are measured in turn, in one run.
+    """Figures whose contenders are measured in turn, in one run."""
 
-    Attributes:
-        contenders: What is measured, by name.
-        figures: What is computed from them.
-        rounds_at_most: For what takes long and needs no repetition; None for no limit.
-    """
-
-    contenders: Mapping[str, Measure]
-    figures: tuple[Figure, ...]
+    contenders: Mapping[str, Measure]  # what is measured, by name
+    figures: tuple[Figure, ...]  # what is computed from them
+    # for what takes long and needs no repetition; None for no limit
     rounds_at_most: int | None = None
 
 
 class Middle(NamedTuple):
-    """The middle of some values and how far they spread.
+    """The middle of some values and how far they spread."""
 
-    Attributes:
-        median: Their median.
-        low: Their least.
-        high: Their largest.
-    """
-
-    median: float
-    low: float
-    high: float
+    median: float  # their median
+    low: float  # their least
+    high: float  # their largest
 
     @property
     def spread(self) -> float:
@@ -102,11 +70,7 @@ class Middle(NamedTuple):
 
 
 def middle(values: Sequence[float]) -> Middle:
-    """Return median and range.
-
-    Raises:
-        ValueError: There are no values.
-    """
+    """Return median and range."""
     if not values:
         raise ValueError("there is no median of no values")
     return Middle(statistics.median(values), min(values), max(values))
@@ -118,22 +82,14 @@ class Outcome:
 
     The ratio is the median of the rounds' ratios, not the ratio of the medians: what slows the
     machine down for a while slows both sides of a round.
-
-    Attributes:
-        figure: What was measured.
-        ours: The package's side.
-        reference: The other side.
-        ratio: Ours over reference.
-        rounds: How often each side was measured.
-        beside: What else was measured on the package's side, medians by name.
     """
 
-    figure: Figure
-    ours: Middle
-    reference: Middle
-    ratio: Middle
-    rounds: int
-    beside: Mapping[str, float]
+    figure: Figure  # what was measured
+    ours: Middle  # the package's side
+    reference: Middle  # the other side
+    ratio: Middle  # ours over reference
+    rounds: int  # how often each side was measured
+    beside: Mapping[str, float]  # what else was measured on the package's side, medians by name
 
     @classmethod
     def of(
@@ -142,16 +98,7 @@ class Outcome:
         ours: Sequence[Mapping[str, float]],
         reference: Sequence[Mapping[str, float]],
     ) -> Outcome:
-        """Compute a figure of its rounds.
-
-        Args:
-            figure: The figure.
-            ours: What the package's contender measured in each round.
-            reference: Likewise the reference's.
-
-        Raises:
-            ValueError: No round, not the same number of both, or a reference that is zero.
-        """
+        """Compute a figure of its rounds."""
         a = [each[figure.ours.quantity] for each in ours]
         b = [each[figure.reference.quantity] for each in reference]
         if len(a) != len(b):

@@ -51,66 +51,39 @@ _LIMITS: Mapping[str, float] = {INERTIA: 0.03, VISCOUS: 0.1, COULOMB: 0.1, DELAY
 
 
 class Truth(NamedTuple):
-    """What is drawn for one joint.
+    """What is drawn for one joint."""
 
-    Attributes:
-        viscous: In [N m s/rad].
-        coulomb: In [N m].
-        rotor: Reflected inertia, in [kg m^2].
-        delay: In [s].
-    """
-
-    viscous: float
-    coulomb: float
-    rotor: float
-    delay: float
+    viscous: float  # in [N m s/rad]
+    coulomb: float  # in [N m]
+    rotor: float  # reflected inertia, in [kg m^2]
+    delay: float  # in [s]
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A robot drawn at random.
+    """A robot drawn at random."""
 
-    Attributes:
-        experiment: In which it moves.
-        bare: Its description without rotors and friction.
-        truth: By joint.
-    """
-
-    experiment: Experiment
-    bare: RobotDescription
-    truth: Mapping[str, Truth]
+    experiment: Experiment  # in which it moves
+    bare: RobotDescription  # its description without rotors and friction
+    truth: Mapping[str, Truth]  # by joint
 
 
 class Setup(NamedTuple):
-    """How robots are moved.
+    """How robots are moved."""
 
-    Attributes:
-        engine: Who computes the physics.
-        duration: Of the motion in [s]; of each joint if they move one by one.
-        is_alone: They move one by one.
-    """
-
-    engine: str
-    duration: float
-    is_alone: bool
+    engine: str  # who computes the physics
+    duration: float  # of the motion in [s]; of each joint if they move one by one
+    is_alone: bool  # they move one by one
 
 
 class Finding(NamedTuple):
-    """One number beside its truth.
+    """One number beside its truth."""
 
-    Attributes:
-        joint: Of which joint.
-        name: Of the parameter.
-        error: Relative; of a delay in control periods.
-        is_inside: Whether the interval contains the truth.
-        is_reliable: Whether the data are said to tell it.
-    """
-
-    joint: str
-    name: str
-    error: float
-    is_inside: bool
-    is_reliable: bool
+    joint: str  # of which joint
+    name: str  # of the parameter
+    error: float  # relative; of a delay in control periods
+    is_inside: bool  # whether the interval contains the truth
+    is_reliable: bool  # whether the data are said to tell it
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -183,14 +156,7 @@ def _findings(robot: str, seed: int, setup: Setup) -> list[Finding]:
 
 
 def draw(robot: str, seed: int, setup: Setup, chance: np.random.Generator) -> Drawn:
-    """Return a robot with friction, rotors, noise and delay drawn at random.
-
-    Args:
-        robot: Name of the experiment that it is from.
-        seed: Of its encoders' noise.
-        setup: How it will be moved.
-        chance: Draws.
-    """
+    """Return a robot with friction, rotors, noise and delay drawn at random."""
     path = find_resource(f"config/experiments/{robot}.yaml")
     plain = load_experiment(path)
     description = RobotDescription.load(plain.world.robot_description)
@@ -212,24 +178,22 @@ def draw(robot: str, seed: int, setup: Setup, chance: np.random.Generator) -> Dr
         "extends": str(path),
         "duration": setup.duration,
         "seed": seed,
-        "robot": {"fixed_base": True, "joints": amendments},
+        "robot": {
+            **{"fixed_base": True, "joints": amendments},
+            **({"base": None} if plain.world.base is not None else {}),
+        },
         "simulation": {"engine": setup.engine},
         "sensors": {"noise": float(chance.uniform(*_NOISES)), "encoder_counts": _COUNTS},
         "actuators": {"delay": delay},
-        "reference": None,
     }
     nothing = {name: JointAmendment(rotor_inertia=0.0, damping=0.0, friction=0.0) for name in arm}
-    return Drawn(_loaded(document, plain), amended(description, nothing, {}, {}), truth)
+    return Drawn(_loaded(document), amended(description, nothing, {}, {}), truth)
 
 
-def _loaded(document: Mapping[str, Any], plain: Experiment) -> Experiment:
-    values = dict(document)
-    if plain.world.base is not None:
-        values["robot"] = {**values["robot"], "base": None}
-    values.pop("reference")
+def _loaded(document: Mapping[str, Any]) -> Experiment:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "drawn.yaml"
-        file.write_text(yaml.safe_dump(values))
+        file.write_text(yaml.safe_dump(document))
         return load_experiment(file)
 
 

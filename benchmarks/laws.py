@@ -43,11 +43,7 @@ _LOOP_SAMPLES, _LOOP_SAMPLES_QUICK = 50_000, 9_000
 
 
 def group(quick: bool) -> Group:
-    """Return the figures of laws and loops.
-
-    Args:
-        quick: Whether fewer samples will do.
-    """
+    """Return the figures of laws and loops."""
     law_samples = _SAMPLES_QUICK if quick else _SAMPLES
     loop_samples = _LOOP_SAMPLES_QUICK if quick else _LOOP_SAMPLES
     contenders: dict[str, Measure] = {

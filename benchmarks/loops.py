@@ -5,17 +5,19 @@ MuJoCo simulates the robot, one step in a period, where the name of a figure say
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.figures import Bound, Figure, Group, Measure, Source
-from benchmarks.floor_graph import run_floor
-from benchmarks.naive_graph import run_naive
 from benchmarks.ours_graph import run_checked, run_ours, timing_of
+from benchmarks.processes import Scripts
 from benchmarks.tracking import tracking
+from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph_run import GraphOptions
+from hpid_ros.experiment.graph_run import PROCESSES, GraphOptions
 from hpid_ros.experiment.in_process import NoProgress
+from hpid_ros.experiment.processes import closed_environment, own_domain
 from hpid_ros.simulation.settings import installed_engines
 
 LABEL = "hPID"
@@ -28,11 +30,7 @@ _CLOCK, _STEAL = 100.0, 8  # ticks in a second, and their place in the first lin
 
 
 def groups(quick: bool) -> tuple[Group, ...]:
-    """Return the figures of the closed loop.
-
-    Args:
-        quick: Whether shorter runs will do.
-    """
+    """Return the figures of the closed loop."""
     return (
         _in_processes(quick),
         _composed(quick, "composed", "loop.composed", (Bound("ratio", least=0.6),)),
@@ -162,3 +160,78 @@ def _ours(experiment: Experiment, options: GraphOptions) -> Measure:
 def _stolen_time() -> float:
     """Return the time that the host took from this machine's cores, in [s]."""
     return int(Path("/proc/stat").read_text().split()[_STEAL]) / _CLOCK
+
+
+_FLOOR_WITHIN, _NAIVE_WITHIN = 120.0, 300.0  # [s] for a whole run
+_ASKER = "asker"
+
+
+def run_floor(
+    joints: Sequence[str],
+    processes: str,
+    cycles: int,
+    is_timing: bool = False,
+    has_physics: bool = False,
+) -> Mapping[str, float]:
+    """Run the echo graph once.
+
+    Returns:
+        ``rate`` in cycles per second; ``latency``, the median from a state's publication to the
+        arrival of an answer, in [us], when asked for; ``repeats``, how often it began anew
+        because a message was lost.
+    """
+    ask = ["--ask", *joints, "--cycles", str(cycles), *(["--latency"] if is_timing else [])]
+    ask += ["--physics"] if has_physics else []
+    with (
+        tempfile.TemporaryDirectory(prefix="hpid_bench_") as folder,
+        own_domain() as domain,
+        Scripts(closed_environment(domain), Path(folder), is_batch=True) as scripts,
+    ):
+        for name, arguments in _echoes(joints, processes).items():
+            scripts.start(name, "floor", arguments)
+        together = ["--echo", *joints] if processes == "single" else []
+        scripts.start(_ASKER, "floor", [*ask, *together])
+        result = scripts.result(_ASKER, _FLOOR_WITHIN)
+    if result["cycles"] != cycles:
+        raise RunError(f"the echo graph counted {result['cycles']} cycles of {cycles}")
+    return {name: float(value) for name, value in result.items()}
+
+
+def _echoes(joints: Sequence[str], processes: str) -> dict[str, list[str]]:
+    """Return the arguments of the processes that hold nothing but echo nodes."""
+    if processes == "each":
+        return {f"echo_{joint}": ["--echo", joint] for joint in joints}
+    if processes == "composed":
+        return {"echoes": ["--echo", *joints]}
+    if processes == "single":
+        return {}
+    raise ValueError(f"processes must be one of {', '.join(PROCESSES)}, not {processes!r}")
+
+
+_LARGEST_ERROR = 0.1  # [rad] at the end of a run; without control a joint is 0.3 rad away
+_SETTLED_AFTER = 1.0  # [s], from when on the error is looked at
+_ROBOT = "robot"
+
+
+def run_naive(seconds: float) -> Mapping[str, float]:
+    """Run the naive closed loop once, one physics step in each control period.
+
+    Returns:
+        ``rate`` in states per second.
+    """
+    experiment = tracking()
+    with (
+        tempfile.TemporaryDirectory(prefix="hpid_bench_") as folder,
+        own_domain() as domain,
+        Scripts(closed_environment(domain), Path(folder)) as scripts,
+    ):
+        for joint in experiment.world.joints:
+            scripts.start(joint, "naive", ["--control", joint])
+        scripts.start(_ROBOT, "naive", ["--simulate", "--seconds", str(seconds)])
+        result = scripts.result(_ROBOT, _NAIVE_WITHIN)
+    expected = round(seconds * 1e9 / experiment.world.control_period_ns) + 1
+    if result["states"] != expected:
+        raise RunError(f"the naive loop had {result['states']} states, not {expected}")
+    if seconds >= _SETTLED_AFTER and result["largest_error"] > _LARGEST_ERROR:
+        raise RunError(f"the naive loop does not control: {result['largest_error']:.3f} rad away")
+    return {"rate": float(result["rate"])}

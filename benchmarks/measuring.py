@@ -14,11 +14,7 @@ Tell = Callable[[str], None]
 
 
 class Measured(dict[str, list[Mapping[str, float]]]):
-    """The quantities of each contender, one mapping for each round.
-
-    Attributes:
-        failures: Why a contender could not be measured, by its name.
-    """
+    """The quantities of each contender, one mapping for each round."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -30,11 +26,6 @@ def measure_in_turn(contenders: Mapping[str, Measure], rounds: int, tell: Tell) 
 
     Every round begins with another contender, so that none is always the first. A contender
     that fails is not measured again.
-
-    Args:
-        contenders: What to measure.
-        rounds: How often.
-        tell: Is told what is being measured.
     """
     measured = Measured()
     names = list(contenders)
@@ -56,12 +47,6 @@ def figures_of(
     group: Group, wanted: Collection[str], rounds: int, tell: Tell
 ) -> list[Outcome | str]:
     """Measure the wanted figures of a group.
-
-    Args:
-        group: The group.
-        wanted: Names of the figures; contenders that none of them needs are left out.
-        rounds: How often each contender is measured.
-        tell: Is told what is being measured.
 
     Returns:
         For each wanted figure its outcome, or one line that says why there is none.
@@ -87,12 +72,7 @@ def _outcome(figure: Figure, measured: Measured) -> Outcome | str:
 
 
 def time_per_item(run: Callable[[], object], items: int) -> float:
-    """Return the time that a run takes for each of its items, in [s], without the collector.
-
-    Args:
-        run: Goes through all items once.
-        items: How many they are.
-    """
+    """Return the time that a run takes for each of its items, in [s], without the collector."""
     was_collecting = gc.isenabled()
     gc.collect()
     gc.disable()

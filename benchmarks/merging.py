@@ -35,15 +35,10 @@ _MERGER = {"command_interface": "joint_state", "command_timeout": "1.0"}
 
 
 class Form(NamedTuple):
-    """How the controllers are spread, and whether there is a merger.
+    """How the controllers are spread, and whether there is a merger."""
 
-    Attributes:
-        is_composed: Whether they are in one process.
-        is_merged: Whether their commands are merged.
-    """
-
-    is_composed: bool
-    is_merged: bool
+    is_composed: bool  # whether they are in one process
+    is_merged: bool  # whether their commands are merged
 
 
 FORMS = {
@@ -59,19 +54,12 @@ def _arguments(parameters: Mapping[str, str]) -> list[str]:
 
 
 class Load(NamedTuple):
-    """What all forms are measured with.
+    """What all forms are measured with."""
 
-    Attributes:
-        joints: Names of the joints.
-        rate: States in a second.
-        seconds: How long.
-        priority: Real-time priority of all processes; 0 for none.
-    """
-
-    joints: list[str]
-    rate: float
-    seconds: float
-    priority: int
+    joints: list[str]  # names of the joints
+    rate: float  # states in a second
+    seconds: float  # how long
+    priority: int  # real-time priority of all processes; 0 for none
 
 
 def _start(nodes: NodeGroup, form: Form, load: Load) -> None:
@@ -93,16 +81,9 @@ def _start(nodes: NodeGroup, form: Form, load: Load) -> None:
 def measure(form: Form, load: Load) -> Mapping[str, float]:
     """Run one form once.
 
-    Args:
-        form: The form.
-        load: What is asked of it.
-
     Returns:
         ``median`` and ``p99`` of the time from a state to the last effort that answers it, in
         [us]; ``answered``, the part of the states that this is known of; ``messages`` a state.
-
-    Raises:
-        RunError: A process failed, or no state was answered.
     """
     with (
         tempfile.TemporaryDirectory(prefix="hpid_bench_") as folder,

@@ -35,19 +35,12 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 class Case(NamedTuple):
-    """One way in which the robot and its model differ.
+    """One way in which the robot and its model differ."""
 
-    Attributes:
-        name: In a few words.
-        payload: Of the robot in [kg]; the model has none.
-        mass_scale: Of the model.
-        description: URDF of the model; empty for the robot's.
-    """
-
-    name: str
-    payload: float = 0.0
-    mass_scale: float = 1.0
-    description: str = ""
+    name: str  # in a few words
+    payload: float = 0.0  # of the robot in [kg]; the model has none
+    mass_scale: float = 1.0  # of the model
+    description: str = ""  # URDF of the model; empty for the robot's
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -86,12 +79,7 @@ def cases(experiment: Experiment) -> Iterator[Case]:
 
 
 def with_wrong_masses(xml: str, seed: int) -> str:
-    """Return a robot whose links' masses and inertias are wrong, each by a factor of its own.
-
-    Args:
-        xml: URDF of the robot.
-        seed: Of the draw.
-    """
+    """Return a robot whose links' masses and inertias are wrong, each by a factor of its own."""
     root = ElementTree.fromstring(xml)
     chance = random.Random(seed)
     for inertial in root.iter("inertial"):

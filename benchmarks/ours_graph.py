@@ -38,14 +38,7 @@ class Clock:
         self._notes.append((time.perf_counter(), simulated))
 
     def rate(self, period: float) -> float:
-        """Return the control periods in a second of wall time.
-
-        Args:
-            period: Control period in [s].
-
-        Raises:
-            RunError: The run was too short to tell.
-        """
+        """Return the control periods in a second of wall time."""
         if len(self._notes) < 2:
             raise RunError("the run was too short to tell its rate")
         (begin, first), (end, last) = self._notes[0], self._notes[-1]
@@ -55,17 +48,9 @@ class Clock:
 def run_ours(experiment: Experiment, label: str, options: GraphOptions) -> Mapping[str, float]:
     """Run the closed loop once.
 
-    Args:
-        experiment: The experiment.
-        label: Which of its controllers.
-        options: How it is spread over processes.
-
     Returns:
         ``rate`` in control periods per second; ``latency``, the median over the joints of their
         median from a state's publication to the arrival of the answer, in [us].
-
-    Raises:
-        RunError: A node failed, or something was lost.
     """
     clock = Clock()
     report = run_checked(experiment, label, options, clock)
@@ -77,17 +62,7 @@ def run_ours(experiment: Experiment, label: str, options: GraphOptions) -> Mappi
 def run_checked(
     experiment: Experiment, label: str, options: GraphOptions, progress: Progress
 ) -> RunReport:
-    """Run the closed loop once and see that nothing went otherwise than planned.
-
-    Args:
-        experiment: The experiment.
-        label: Which of its controllers.
-        options: How it is spread over processes; the bag, if any, is thrown away.
-        progress: Is told how far the run is.
-
-    Raises:
-        RunError: A node failed, or something was lost.
-    """
+    """Run the closed loop once and see that nothing went otherwise than planned."""
     with tempfile.TemporaryDirectory(prefix="hpid_bench_") as name:
         folder = Path(name)
         bag = folder / "bag" if options.is_recorded else None
@@ -100,11 +75,7 @@ def run_checked(
 
 
 def timing_of(report: RunReport) -> Collection[Mapping[str, Any]]:
-    """Return what the nodes measured of each joint.
-
-    Raises:
-        RunError: They told nothing.
-    """
+    """Return what the nodes measured of each joint."""
     if report.timing is None or not report.timing["joints"]:
         raise RunError("the nodes told nothing about their timing")
     joints: Collection[Mapping[str, Any]] = report.timing["joints"].values()

@@ -26,13 +26,7 @@ _LOOK_EVERY = 0.2  # [s]
 
 
 class Scripts:
-    """Runs modules of ``benchmarks.nodes`` and ends all of them, whatever happens.
-
-    Args:
-        environment: Their whole environment.
-        logs: Existing folder for what they print to stderr.
-        is_batch: Schedule them as batch jobs, as the package schedules its nodes in lock-step.
-    """
+    """Runs modules of ``benchmarks.nodes`` and ends all of them, whatever happens."""
 
     def __init__(
         self,
@@ -50,13 +44,7 @@ class Scripts:
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, name: str, module: str, arguments: Sequence[str]) -> None:
-        """Start a script.
-
-        Args:
-            name: Its name here and that of its log.
-            module: Module below ``benchmarks.nodes``.
-            arguments: Its arguments.
-        """
+        """Start a script."""
         with uninterrupted(), (self._logs / f"{name}.log").open("wb") as log:
             self.processes[name] = subprocess.Popen(
                 [sys.executable, "-m", f"benchmarks.nodes.{module}", *arguments],
@@ -70,15 +58,7 @@ class Scripts:
             )
 
     def result(self, name: str, within: float) -> dict[str, Any]:
-        """Wait for the line that a script prints at its end.
-
-        Args:
-            name: The script.
-            within: How long, in [s].
-
-        Raises:
-            RunError: The line did not come, or any of the scripts has failed.
-        """
+        """Wait for the line that a script prints at its end."""
         output = self.processes[name].stdout
         assert output is not None
         deadline = time.monotonic() + within

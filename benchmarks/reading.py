@@ -1,17 +1,39 @@
-"""From a bag to arrays, against rosbags deserialising it and against reading its bytes."""
+"""From a bag to arrays, against rosbags deserialising it and against reading its bytes.
+
+The bag is as a robot of eight joints leaves it: states and stamped commands at 1 kHz. Stamps
+jitter as a real clock's do, commands come in any order, and every number is drawn from the seed.
+Each turn has a process of its own: ``python -m benchmarks.reading CONTENDER BAG``.
+"""
 
 from __future__ import annotations
 
+import json
+import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 
-from benchmarks.bag_speed import in_own_process
-from benchmarks.figures import Bound, Figure, Group, Measure, Source
+import numpy as np
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
+from benchmarks.figures import Bound, Figure, Group, Measure, Source
+from benchmarks.processes import ROOT
+from hpid_ros.messages.batches import zstd_library
+from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint
+
+MIB = 1 << 20
 _MINUTES, _MINUTES_QUICK = 2.0, 0.1
 _ROUNDS_AT_MOST = 3  # rosbags takes ten seconds and more a turn
 _KINDS = {
@@ -22,11 +44,7 @@ _KINDS = {
 
 
 def group(quick: bool) -> Group:
-    """Return the figures of reading.
-
-    Args:
-        quick: Whether a short bag will do.
-    """
+    """Return the figures of reading."""
     minutes = _MINUTES_QUICK if quick else _MINUTES
     contenders: dict[str, Measure] = {}
     figures = []
@@ -66,18 +84,139 @@ def _bag(kind: str, minutes: float) -> tuple[Path, tempfile.TemporaryDirectory[s
     storage, compression = _KINDS[kind]
     folder = tempfile.TemporaryDirectory(prefix="hpid_bench_")
     bag = Path(folder.name) / "bag"
-    generator = Path(__file__).with_name("generate_bag.py")
-    command = [sys.executable, str(generator), str(bag), "--minutes", str(minutes)]
-    command += ["--storage", storage, "--compression", compression]
-    subprocess.run(command, check=True, capture_output=True)
+    generate(bag, minutes, storage, compression)
     return bag, folder
 
 
 def _turn(name: str, kind: str, minutes: float) -> Mapping[str, float]:
     """Let one contender read the bag in a process of its own."""
-    result = in_own_process(name, _bag(kind, minutes)[0], is_cold=False)
-    return {
-        "seconds": result["cpu"],
-        "rate": result["count"] / result["cpu"],
-        "peak": result["peak"],
-    }
+    command = [sys.executable, "-m", "benchmarks.reading", name, str(_bag(kind, minutes)[0])]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
+    result: Mapping[str, float] = json.loads(done.stdout)
+    return result
+
+
+def read_bytes(bag: Path) -> int:
+    """Read and decompress everything, without looking at it; return the number of bytes."""
+    count, unpack = 0, zstd_library().decompress
+    for path in sorted(bag.iterdir()):
+        if path.suffix == ".mcap":
+            with path.open("rb") as stream:
+                summary = make_reader(stream).get_summary()
+                for chunk in summary.chunk_indexes if summary else ():
+                    stream.seek(
+                        chunk.chunk_start_offset + chunk.chunk_length - chunk.compressed_size
+                    )
+                    raw = stream.read(chunk.compressed_size)
+                    count += len(unpack(raw) if chunk.compression else raw)
+        elif path.suffix == ".db3":
+            with path.open("rb", buffering=0) as stream:
+                while block := stream.read(MIB):
+                    count += len(block)
+    return count
+
+
+def read_arrays(bag: Path) -> int:
+    """Read the run; return its number of states and commands."""
+    run = read_run(bag, "run")
+    return len(run.joints[0].position) + sum(len(joint.effort) for joint in run.joints)
+
+
+def read_messages(bag: Path) -> int:
+    """Deserialise every state and command with rosbags; return their number."""
+    count = 0
+    with AnyReader([bag]) as reader:
+        wanted = [c for c in reader.connections if c.msgtype == "sensor_msgs/msg/JointState"]
+        for connection, _, raw in reader.messages(wanted):
+            reader.deserialize(raw, connection.msgtype)
+            count += 1
+    return count
+
+
+CONTENDERS: dict[str, Callable[[Path], int]] = {
+    "bytes": read_bytes,
+    "arrays": read_arrays,
+    "messages": read_messages,
+}
+
+
+def take_turn(name: str, bag: Path) -> dict[str, float]:
+    """Run one contender in this process; return its CPU time in [s], rate and peak in [MiB]."""
+    begun = time.process_time()
+    count = CONTENDERS[name](bag)
+    seconds = time.process_time() - begun
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"seconds": seconds, "rate": count / seconds, "peak": peak}
+
+
+JOINTS = ("wheel_left", "wheel_right", *(f"arm_joint_{number}" for number in range(1, 7)))
+START_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 1_000_000
+STAMP_JITTER_NS = 20_000
+BLOCK = 10_000
+"""States that are drawn at once."""
+
+
+def messages(minutes: float, seed: int = 0) -> Iterator[tuple[str, int, bytes]]:
+    """Yield topic, log time in [ns] and bytes of every message."""
+    random = np.random.default_rng(seed)
+    states = JointStateTemplate(JOINTS, position=True, effort=True)
+    commands = [JointStateTemplate([joint], effort=True) for joint in JOINTS]
+    yield "/joint_trajectory", START_NS, encode_joint_trajectory(_trajectory(minutes))
+    count = round(minutes * 60_000)
+    for first in range(0, count, BLOCK):
+        size = min(BLOCK, count - first)
+        ticks = START_NS + PERIOD_NS * np.arange(first, first + size)
+        stamps = (ticks + random.integers(0, STAMP_JITTER_NS, size)).tolist()
+        positions = random.normal(0.0, 1.0, (size, len(JOINTS))).tolist()
+        efforts = random.normal(0.0, 10.0, (size, len(JOINTS))).tolist()
+        orders = random.permuted(np.tile(np.arange(len(JOINTS)), (size, 1)), axis=1).tolist()
+        for stamp, position, effort, order in zip(stamps, positions, efforts, orders, strict=True):
+            yield (
+                "/joint_states",
+                stamp + 50_000,
+                states.encode(stamp, position=position, effort=effort),
+            )
+            for place, joint in enumerate(order):
+                raw = commands[joint].encode(stamp, effort=(effort[joint],))
+                yield "/joint_commands", stamp + 100_000 + 9_000 * place, raw
+
+
+def generate(bag: Path, minutes: float, storage: str, compression: str) -> None:
+    """Write a bag."""
+    types = {"/joint_states": JOINT_STATE, "/joint_commands": JOINT_STATE}
+    types["/joint_trajectory"] = JOINT_TRAJECTORY
+    if (storage, compression) == ("mcap", "none"):
+        with BagWriter(bag) as ours:
+            topics = {name: ours.add_topic(name, kind) for name, kind in types.items()}
+            for name, log_time_ns, raw in messages(minutes):
+                ours.write(topics[name], log_time_ns, raw)
+        return
+    writer = Writer(bag, version=9, storage_plugin=StoragePlugin[storage.upper()])
+    if compression != "none":
+        mode = CompressionMode[compression.upper()]
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with writer:
+        connections = {
+            name: writer.add_connection(name, kind, typestore=store)
+            for name, kind in types.items()
+        }
+        for name, log_time_ns, raw in messages(minutes):
+            writer.write(connections[name], log_time_ns, raw)
+
+
+def _trajectory(minutes: float) -> JointTrajectory:
+    points = tuple(
+        TrajectoryPoint(
+            second * 1_000_000_000,
+            tuple(np.sin(0.5 * second + np.arange(len(JOINTS))).tolist()),
+            (0.0,) * len(JOINTS),
+        )
+        for second in range(0, max(round(minutes * 60), 1) + 1)
+    )
+    return JointTrajectory(JOINTS, points)
+
+
+if __name__ == "__main__":
+    print(json.dumps(take_turn(sys.argv[1], Path(sys.argv[2]))))

@@ -23,11 +23,7 @@ _BETWEEN_NS = 111_111  # log time between two messages: nine a millisecond, as i
 
 
 def group(quick: bool) -> Group:
-    """Return the figure of the recorder.
-
-    Args:
-        quick: Whether fewer messages will do.
-    """
+    """Return the figure of the recorder."""
     messages = _joint_states(_MESSAGES_QUICK if quick else _MESSAGES)
     jazzy_types()  # made once, and not what is measured
 

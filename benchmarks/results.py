@@ -49,13 +49,7 @@ def all_versions() -> dict[str, str]:
 
 
 def document(outcomes: Sequence[Outcome], before: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return what the file holds.
-
-    Args:
-        outcomes: What was measured.
-        before: What it held; figures that were not measured now stay, if machine and versions
-            are the same.
-    """
+    """Return what the file holds."""
     facts = {"machine": machine(), "versions": all_versions()}
     kept = {}
     if before is not None and all(before.get(key) == value for key, value in facts.items()):
@@ -65,12 +59,7 @@ def document(outcomes: Sequence[Outcome], before: dict[str, Any] | None = None) 
 
 
 def write(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Put figures into a file.
-
-    Args:
-        path: The file; its folder is made.
-        outcomes: What was measured.
-    """
+    """Put figures into a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     before = json.loads(path.read_text()) if path.is_file() else None
     path.write_text(json.dumps(document(outcomes, before), indent=2) + "\n", encoding="utf-8")

@@ -36,23 +36,14 @@ _FRICTION = re.compile(r'<lateral_friction value="0\.9"/>')
 
 
 class Drive(NamedTuple):
-    """One path on one floor.
+    """One path on one floor."""
 
-    Attributes:
-        name: In a few words.
-        times: Of the poses in [s].
-        poses: x [m], y [m], heading [rad].
-        directions: Of each leg.
-        steps: Physics steps in a control period.
-        friction: Of the wheels on the floor.
-    """
-
-    name: str
-    times: Sequence[float]
-    poses: Sequence[Sequence[float]]
-    directions: Sequence[str]
-    steps: int = 4
-    friction: float = 0.9
+    name: str  # in a few words
+    times: Sequence[float]  # of the poses in [s]
+    poses: Sequence[Sequence[float]]  # x [m], y [m], heading [rad]
+    directions: Sequence[str]  # of each leg
+    steps: int = 4  # physics steps in a control period
+    friction: float = 0.9  # of the wheels on the floor
 
 
 _GENTLE = Drive(
@@ -100,12 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def driven(drive: Drive, folder: Path) -> BaseFigures:
-    """Return the base's figures of one path.
-
-    Args:
-        drive: The path.
-        folder: Existing folder for the experiment and its bag.
-    """
+    """Return the base's figures of one path."""
     path = folder / "drive.yaml"
     path.write_text(yaml.safe_dump(_document(drive, folder)), encoding="utf-8")
     experiment = load_experiment(path)

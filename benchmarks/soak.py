@@ -24,7 +24,6 @@ from typing import Any
 
 from benchmarks.disturbed_graph import DisturbedGraph, Fault
 from benchmarks.episodes import LABEL, is_planned, sines
-from benchmarks.memory import private_bytes
 from benchmarks.processes import Scripts
 from benchmarks.surroundings import loopback_environment
 from hpid_ros.base.errors import RunError
@@ -45,23 +44,17 @@ _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
 @dataclass
 class Soak:
-    """What came of it.
+    """What came of it."""
 
-    Attributes:
-        states: States of the run.
-        faults: What was done to controllers.
-        retunes: Sets of parameters by what became of them.
-        unplanned: ``(joint, stamp)`` of samples that were missed outside of the faults.
-        growth: Growth of each process's memory after its warm-up, in [MiB], by name and pid.
-        left: A line for each process or thread that was left behind.
-    """
-
-    states: int = 0
-    faults: Sequence[Fault] = ()
+    states: int = 0  # states of the run
+    faults: Sequence[Fault] = ()  # what was done to controllers
+    # sets of parameters by what became of them
     retunes: Mapping[str, int] = field(default_factory=dict)
+    # ``(joint, stamp)`` of samples that were missed outside of the faults
     unplanned: Sequence[tuple[str, int]] = ()
+    # growth of each process's memory after its warm-up, in [MiB], by name and pid
     growth: Mapping[tuple[str, int], float] = field(default_factory=dict)
-    left: Sequence[str] = ()
+    left: Sequence[str] = ()  # A line for each process or thread that was left behind
 
     def broken(self) -> list[str]:
         """Return a line for each promise that was not kept."""
@@ -106,17 +99,7 @@ class _Memory:
 
 
 def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
-    """Run the graph under faults.
-
-    Args:
-        minutes: How long, in [min] of wall time.
-        warm_up: Before memory is compared, in [min].
-        seed: Of faults and retunes.
-        folder: Existing folder for logs.
-
-    Raises:
-        RunError: The graph failed.
-    """
+    """Run the graph under faults."""
     result = Soak()
     with _leftovers() as left, own_domain() as domain:
         environment = loopback_environment(domain)
@@ -182,14 +165,7 @@ def _run(graph: DisturbedGraph, memory: _Memory, seconds: float) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run as long as the arguments say and print what came of it.
-
-    Args:
-        arguments: Those of the command line; None for the process's own.
-
-    Returns:
-        The exit code.
-    """
+    """Run as long as the arguments say and print what came of it."""
     options = _parser().parse_args(arguments)
     warm_up = warm_up_of(options.minutes) if options.warm_up is None else options.warm_up
     if not options.minutes > 0.0 or not 0.0 <= warm_up < options.minutes:
@@ -246,6 +222,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=1, help="of faults and retunes")
     return parser
+
+
+_OWN = ("Private_Dirty:", "Swap:")
+
+
+def private_bytes(pid: int) -> int:
+    """Return the memory that a process has written and shares with no other, in bytes.
+
+    It counts also when it is swapped out. Shared memory of the middleware belongs to all who map
+    it; clean pages are those of files, which come and go with other programs that map them.
+    """
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except FileNotFoundError:
+        raise ProcessLookupError(f"no process {pid}") from None
+    return sum(int(line.split()[1]) for line in lines if line.startswith(_OWN)) * 1024
 
 
 if __name__ == "__main__":

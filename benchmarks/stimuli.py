@@ -58,24 +58,17 @@ class Command:
 
 @dataclass
 class Felt:
-    """What a joint felt.
+    """What a joint felt."""
 
-    Attributes:
-        before: The effort before in [N m].
-        step: The largest change from one command to the next after it, down to zero not counted,
-            in [N m].
-        sudden: Likewise, of each change no more than exceeds :data:`PACE` for the time between
-            the two commands: on a busy machine the reference moves on meanwhile.
-        to_zero: Time until the effort was zero in [s]; NaN if it never was.
-        note: What else was seen.
-        late: How late the driver was at worst in [s]: what it saw then is this machine's doing.
-    """
-
-    before: float
+    before: float  # the effort before in [N m]
+    # the largest change from one command to the next after it, down to zero not counted, in [N m]
     step: float
+    # likewise, of each change no more than exceeds :data:`PACE` for the time between the two
+    # commands: on a busy machine the reference moves on meanwhile
     sudden: float
-    to_zero: float = math.nan
-    note: str = ""
+    to_zero: float = math.nan  # time until the effort was zero in [s]; NaN if it never was
+    note: str = ""  # what else was seen
+    # how late the driver was at worst in [s]: what it saw then is this machine's doing
     late: float = 0.0
 
 
@@ -395,14 +388,7 @@ def a_joint() -> Iterator[Driver]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure the stimuli that the arguments name and print them as a table.
-
-    Args:
-        arguments: Those of the command line; None for the process's own.
-
-    Returns:
-        The exit code.
-    """
+    """Measure the stimuli that the arguments name and print them as a table."""
     names = list(sys.argv[1:] if arguments is None else arguments) or list(STIMULI)
     heed_interrupts()
     try:

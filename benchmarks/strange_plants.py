@@ -21,49 +21,27 @@ _STICTION_SPEED = 0.05  # [rad/s], at which Stribeck friction has fallen to 1/e
 
 @dataclass(frozen=True)
 class Plant:
-    """A joint that turns about a horizontal axis.
+    """A joint that turns about a horizontal axis."""
 
-    Attributes:
-        kind: In a word or two.
-        mass: Of the link, a point, in [kg].
-        length: Its distance from the axis, in [m].
-        rotor: Reflected, in [kg m^2].
-        viscous: In [N m s/rad].
-        coulomb: In [N m].
-        stiction: Beside it when creeping, in [N m].
-        one_way: Share by which friction is more forward, and less backward.
-        load_share: Of the motor's effort, lost in the gear.
-        ripple: Of the motor's torque, in [N m], seven times a turn.
-        stiffness: Between rotor and link, in [N m/rad]; 0 is rigid.
-        play: Between rotor and link, in [rad].
-        limit: Of what the drive gives whatever is asked for, in [N m].
-        effort_step: Of what the drive gives, in [N m]; 0 is none.
-        delay: By which it acts late, in control periods.
-        lag: Time constant of the drive, in [s].
-        counts: Of the encoder, per turn, on the motor's side; 0 is none.
-        noise: Standard deviation of the measured position, in [rad].
-        known_mass: What the URDF says, over the truth.
-    """
-
-    kind: str
-    mass: float = 2.0
-    length: float = 0.35
-    rotor: float = 0.12
-    viscous: float = 0.2
-    coulomb: float = 0.35
-    stiction: float = 0.0
-    one_way: float = 0.0
-    load_share: float = 0.0
-    ripple: float = 0.0
-    stiffness: float = 0.0
-    play: float = 0.0
-    limit: float = math.inf
-    effort_step: float = 0.0
-    delay: int = 0
-    lag: float = 0.0
-    counts: int = 2**16
-    noise: float = 2e-5
-    known_mass: float = 1.0
+    kind: str  # in a word or two
+    mass: float = 2.0  # of the link, a point, in [kg]
+    length: float = 0.35  # its distance from the axis, in [m]
+    rotor: float = 0.12  # reflected, in [kg m^2]
+    viscous: float = 0.2  # in [N m s/rad]
+    coulomb: float = 0.35  # in [N m]
+    stiction: float = 0.0  # beside it when creeping, in [N m]
+    one_way: float = 0.0  # share by which friction is more forward, and less backward
+    load_share: float = 0.0  # of the motor's effort, lost in the gear
+    ripple: float = 0.0  # of the motor's torque, in [N m], seven times a turn
+    stiffness: float = 0.0  # between rotor and link, in [N m/rad]; 0 is rigid
+    play: float = 0.0  # between rotor and link, in [rad]
+    limit: float = math.inf  # of what the drive gives whatever is asked for, in [N m]
+    effort_step: float = 0.0  # of what the drive gives, in [N m]; 0 is none
+    delay: int = 0  # by which it acts late, in control periods
+    lag: float = 0.0  # time constant of the drive, in [s]
+    counts: int = 2**16  # of the encoder, per turn, on the motor's side; 0 is none
+    noise: float = 2e-5  # standard deviation of the measured position, in [rad]
+    known_mass: float = 1.0  # what the URDF says, over the truth
 
     @property
     def inertia(self) -> float:
@@ -82,14 +60,7 @@ class Plant:
 
 
 class Motion:
-    """A plant that moves.
-
-    Args:
-        plant: What moves.
-        period: Of the control, in [s].
-        start: Position, in [rad].
-        seed: Of its noise.
-    """
+    """A plant that moves."""
 
     def __init__(self, plant: Plant, period: float, start: float, seed: int) -> None:
         self._plant, self._dt = plant, period / _SUBSTEPS
@@ -188,11 +159,7 @@ PLANTS = (
 
 
 def drawn(seed: int) -> Plant:
-    """Return a plant of one of the kinds, its numbers drawn, with a second strangeness or none.
-
-    Args:
-        seed: Of all that is drawn; the kind goes with it, too.
-    """
+    """Return a plant of one of the kinds, its numbers drawn, with a second strangeness or none."""
     chance = np.random.default_rng([seed, 7])
     plant = PLANTS[seed % len(PLANTS)]
     scale = float(np.exp(chance.uniform(math.log(0.5), math.log(2.0))))

@@ -12,13 +12,7 @@ from hpid_ros.experiment.description import Experiment, load_experiment
 def tracking(
     physics_steps: int | None = None, duration: float | None = None, engine: str = ""
 ) -> Experiment:
-    """Return the experiment of tracking.yaml.
-
-    Args:
-        physics_steps: Physics steps in one control period; None for the file's own.
-        duration: Stamp of the last state in [s]; None for the file's own.
-        engine: The physics engine; that of the file if empty.
-    """
+    """Return the experiment of tracking.yaml."""
     experiment = _load()
     if engine:
         experiment = replace(experiment, world=replace(experiment.world, engine=engine))

@@ -77,37 +77,23 @@ _HEADINGS = (
 
 
 class Drawn(NamedTuple):
-    """A robot drawn at random, and what its owner knows.
+    """A robot drawn at random, and what its owner knows."""
 
-    Attributes:
-        controllers: Its PIDs.
-        record: Has it move under controllers and writes a bag, with a seed of its noise.
-        given: What its owner knows.
-        motion: What it does.
-        goal: What its owner wants.
-    """
-
-    controllers: tuple[LoopSettings, ...]
+    controllers: tuple[LoopSettings, ...]  # its PIDs
+    # has it move under controllers and writes a bag, with a seed of its noise
     record: Callable[[Sequence[LoopSettings], Path, int], None]
-    given: GivenRobot
-    motion: str
-    goal: str
+    given: GivenRobot  # what its owner knows
+    motion: str  # what it does
+    goal: str  # what its owner wants
 
 
 class Travelled(NamedTuple):
-    """The upgrade of one robot.
+    """The upgrade of one robot."""
 
-    Attributes:
-        motion: Its kind.
-        found: What was proposed.
-        prediction: What it was to bring.
-        verification: What it brought.
-    """
-
-    motion: str
-    found: BagUpgrade
-    prediction: Prediction
-    verification: Verification
+    motion: str  # its kind
+    found: BagUpgrade  # what was proposed
+    prediction: Prediction  # what it was to bring
+    verification: Verification  # what it brought
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -178,13 +164,7 @@ def _row(robot: str, seed: int, travelled: Travelled) -> str:
 
 
 def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
-    """Record a robot, upgrade it, and record what was proposed.
-
-    Args:
-        drawn: The robot.
-        seed: Of the noise.
-        goal: Which is taken; drawn if None. Where ``balanced`` gains nothing, ``smooth`` is.
-    """
+    """Record a robot, upgrade it, and record what was proposed."""
     with tempfile.TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
         drawn.record(drawn.controllers, before, seed)
@@ -200,14 +180,7 @@ def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
 
 
 def draw(robot: str, seed: int, engine: str = "mujoco", wrong_links: float = 0.0) -> Drawn:
-    """Return a robot with all drawn at random that a recording has to tell.
-
-    Args:
-        robot: Name of the experiment that it is from, or :data:`STRANGE`.
-        seed: Of all that is drawn.
-        engine: Who computes its physics.
-        wrong_links: Share by which the masses that its owner knows are wrong at most.
-    """
+    """Return a robot with all drawn at random that a recording has to tell."""
     if robot == STRANGE:
         return _draw_strange(seed)
     chance = np.random.default_rng([seed, *robot.encode()])

@@ -26,11 +26,7 @@ _PERCENT = 100.0
 
 
 def group(quick: bool) -> Group:
-    """Return the figure of the idle controllers.
-
-    Args:
-        quick: Whether a shorter look will do.
-    """
+    """Return the figure of the idle controllers."""
     windows = _WINDOWS_QUICK if quick else _WINDOWS
     figure = Figure(
         "idle.cpu",

@@ -41,9 +41,6 @@ class Echo(executor.ClosingNode):
     """Answers every state with one effort.
 
     It listens when its answers have somebody to hear them.
-
-    Args:
-        joint: The name in its answers.
     """
 
     def __init__(self, joint: str) -> None:
@@ -65,14 +62,7 @@ class Echo(executor.ClosingNode):
 
 
 class Asker(executor.ClosingNode):
-    """Publishes a state, waits for all answers, publishes the next.
-
-    Args:
-        joints: Names in the state, and of the echo nodes.
-        cycles: Cycles to count.
-        is_timing: Whether to note when each answer came.
-        work: What to do between the last answer and the next state.
-    """
+    """Publishes a state, waits for all answers, publishes the next."""
 
     def __init__(
         self, joints: Sequence[str], cycles: int, is_timing: bool, work: Callable[[], None] | None

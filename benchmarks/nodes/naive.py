@@ -36,12 +36,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 class NaivePid:
-    """A PID for one joint.
-
-    Args:
-        node: Its node.
-        joint: The joint.
-    """
+    """A PID for one joint."""
 
     def __init__(self, node: Node, joint: str) -> None:
         experiment = tracking()
@@ -93,13 +88,7 @@ class NaivePid:
 
 
 class NaiveRobot:
-    """The simulated robot: publishes a state, waits for an effort of every joint, steps.
-
-    Args:
-        node: Its node.
-        world: The physics.
-        seconds: Simulated time to run, in [s].
-    """
+    """The simulated robot: publishes a state, waits for an effort of every joint, steps."""
 
     def __init__(self, node: Node, world: World, seconds: float) -> None:
         self.node, self.world = node, world

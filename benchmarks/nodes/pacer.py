@@ -34,14 +34,7 @@ _STAMP = slice(STAMP_OFFSET, NAMES_OFFSET)
 
 
 class Pacer(executor.ClosingNode):
-    """Publishes states at a rate and notes when the last answer to each has come.
-
-    Args:
-        joints: In the states; each has a controller that listens.
-        states: How many are counted.
-        rate: States in a second.
-        is_merged: Whether one message answers for all joints.
-    """
+    """Publishes states at a rate and notes when the last answer to each has come."""
 
     def __init__(self, joints: list[str], states: int, rate: float, is_merged: bool) -> None:
         super().__init__("pacer")

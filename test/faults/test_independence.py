@@ -9,8 +9,7 @@ import pytest
 
 from benchmarks.episodes import OTHERS_AT_MOST, run_episode, sines, undisturbed
 from benchmarks.faults import main as faults_command
-from benchmarks.memory import private_bytes
-from benchmarks.soak import GROWTH_AT_MOST, soak, warm_up_of
+from benchmarks.soak import GROWTH_AT_MOST, private_bytes, soak, warm_up_of
 from benchmarks.soak import main as soak_command
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.forking import ForkServer

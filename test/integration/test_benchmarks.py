@@ -18,7 +18,7 @@ from benchmarks import __main__ as command
 from benchmarks import results
 from benchmarks.engine import group as engine_group
 from benchmarks.figures import Bound, Figure, Group, Outcome, Source
-from benchmarks.floor_graph import run_floor
+from benchmarks.loops import run_floor
 from benchmarks.measuring import figures_of
 from benchmarks.merging import FORMS, Load, measure
 from hpid_ros.base.errors import RunError
