@@ -37,7 +37,7 @@ from hpid_ros.base.processes import heed_interrupts
 from hpid_ros.experiment.description import Experiment, following_loops, load_experiment
 from hpid_ros.experiment.graph_run import GraphOptions
 from hpid_ros.report.figures import RUN_STYLES
-from hpid_ros.report.style import DOTS_PER_INCH, MARKERS, figure_style
+from hpid_ros.report.plots import DOTS_PER_INCH, MARKERS, figure_style
 from hpid_ros.simulation.engine import Sample, run_in_process
 from hpid_ros.simulation.world import World
 

@@ -31,7 +31,13 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
 from hpid_ros.base.processes import heed_interrupts
-from hpid_ros.experiment.processes import NodeGroup, NodeProcess, closed_environment, own_domain
+from hpid_ros.experiment.processes import (
+    NodeGroup,
+    NodeProcess,
+    Process,
+    closed_environment,
+    own_domain,
+)
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 
@@ -110,6 +116,13 @@ class Driver:
         process = self.group.start(name, "joint_controller", arguments)
         count = len(self.commands)
         self.until(lambda: len(self.commands) > count, f"{name} to answer")
+        return process
+
+    def run_in(self, **parameters: object) -> Process:
+        """Start a controller and let the joint follow a trajectory until it does so steadily."""
+        process = self.start(NODE, **parameters).process
+        self.follow()
+        self.live(_RUN_IN)
         return process
 
     def until(self, condition: Callable[[], bool], what: str, within: float = _WITHIN) -> None:
@@ -200,9 +213,7 @@ class Driver:
 
 def freeze(driver: Driver) -> Felt:
     """Stop the controller's process for 1.5 s and let it go on; the joint is held meanwhile."""
-    process = driver.start().process
-    driver.follow()
-    driver.live(_RUN_IN)
+    process = driver.run_in()
     since = time.monotonic()
     process.send_signal(signal.SIGSTOP)
     driver.is_braked = True
@@ -215,9 +226,7 @@ def freeze(driver: Driver) -> Felt:
 
 def silence(driver: Driver) -> Felt:
     """The driver stops telling states, and then repeats the last one."""
-    driver.start()
-    driver.follow()
-    driver.live(_RUN_IN)
+    driver.run_in()
     stamp_ns, position = time.time_ns(), driver.position
     repeat = driver._template.encode(stamp_ns, position=[position], velocity=[0.0])
     driver.states.publish(repeat)
@@ -235,9 +244,7 @@ def silence(driver: Driver) -> Felt:
 
 def flood(driver: Driver) -> Felt:
     """40 trajectories of 4999 points with differing arrays, and then no more states."""
-    driver.start()
-    driver.follow()
-    driver.live(_RUN_IN)
+    driver.run_in()
     last = time.monotonic()
     for _ in range(40):
         driver.follow(4999, is_mixed=True)
@@ -249,9 +256,7 @@ def flood(driver: Driver) -> Felt:
 
 def flood_and_signal(driver: Driver) -> Felt:
     """The same flood, and SIGTERM in the middle of it."""
-    process = driver.start().process
-    driver.follow()
-    driver.live(_RUN_IN)
+    process = driver.run_in()
     for _ in range(40):
         driver.follow(4999, is_mixed=True)
     since = time.monotonic()
@@ -263,9 +268,7 @@ def flood_and_signal(driver: Driver) -> Felt:
 
 def _signalled(number: signal.Signals) -> Callable[[Driver], Felt]:
     def stimulus(driver: Driver) -> Felt:
-        process = driver.start().process
-        driver.follow()
-        driver.live(_RUN_IN)
+        process = driver.run_in()
         since = time.monotonic()
         process.send_signal(number)
         driver.live(_AFTER)
@@ -283,9 +286,7 @@ def _signalled(number: signal.Signals) -> Callable[[Driver], Felt]:
 
 def rival(driver: Driver) -> Felt:
     """A second controller of the same joint is started."""
-    driver.start()
-    driver.follow()
-    driver.live(_RUN_IN)
+    driver.run_in()
     since = time.monotonic()
     second = driver.group.start(
         "rival", "joint_controller", ["-p", f"joint:={JOINT}", "-p", "gains.p:=500.0"]
@@ -299,9 +300,7 @@ def wrap(driver: Driver) -> Felt:
     """The encoder begins anew at pi, and the controller knows that it does."""
     driver.reported = lambda position: (position + math.pi) % math.tau - math.pi
     driver.position = 2.2
-    driver.start(encoder_wrap=math.tau)
-    driver.follow()
-    driver.live(_RUN_IN)
+    driver.run_in(encoder_wrap=math.tau)
     since = time.monotonic()
     driver.live(2.0)
     return driver.felt(since, f"the joint is at {driver.position:.2f} rad")
@@ -309,9 +308,7 @@ def wrap(driver: Driver) -> Felt:
 
 def jump(driver: Driver) -> Felt:
     """The encoder is set to another zero, 1 rad away."""
-    driver.start(velocity_max=5.0)
-    driver.follow()
-    driver.live(_RUN_IN)
+    driver.run_in(velocity_max=5.0)
     since = time.monotonic()
     driver.reported = lambda position: position + 1.0
     driver.live(_AFTER)
@@ -320,9 +317,7 @@ def jump(driver: Driver) -> Felt:
 
 def glitch(driver: Driver) -> Felt:
     """One position is 1 rad off."""
-    driver.start(velocity_max=5.0)
-    driver.follow()
-    driver.live(_RUN_IN)
+    driver.run_in(velocity_max=5.0)
     since = time.monotonic()
     driver.reported = lambda position: position + 1.0
     driver.tell()
@@ -333,9 +328,7 @@ def glitch(driver: Driver) -> Felt:
 
 def estimator(driver: Driver) -> Felt:
     """``velocity_filter_time_constant`` is set from 5 to 6 ms in motion."""
-    driver.start(velocity_source="filtered")
-    driver.follow()
-    driver.live(_RUN_IN)
+    driver.run_in(velocity_source="filtered")
     since = time.monotonic()
     driver.set("velocity_filter_time_constant", 0.006)
     driver.live(_AFTER)

@@ -37,13 +37,14 @@ from hpid_ros.metrics.quantities import (  # noqa: E402
     find_quantities,
 )
 from hpid_ros.report.figures import INK, RUN_STYLES, RunStyle  # noqa: E402
-from hpid_ros.report.plots import SearchPoints, front_figure  # noqa: E402
-from hpid_ros.report.style import (  # noqa: E402
+from hpid_ros.report.plots import (  # noqa: E402
     DOTS_PER_INCH,
     MARKERS,
     WIDTH_IN,
+    SearchPoints,
     add_legend,
     figure_style,
+    front_figure,
     laid_out,
     ratio_ticks,
 )

@@ -21,7 +21,7 @@ from certified_against_simulated import SimulatedLoop  # noqa: E402
 from hpid_ros.control import Gains, WeightedNorm  # noqa: E402
 from hpid_ros.control.settings import NormSettings  # noqa: E402
 from hpid_ros.report.figures import RUN_STYLES  # noqa: E402
-from hpid_ros.report.style import figure_style  # noqa: E402
+from hpid_ros.report.plots import figure_style  # noqa: E402
 from hpid_ros.stability.certificate_search import certified_degree_interval  # noqa: E402
 from hpid_ros.stability.closed_loop import closed_loop_field  # noqa: E402
 

@@ -27,13 +27,11 @@ class TextConsole(Console):
         super().__init__(**({"markup": False, "emoji": False, "highlight": False} | options))
 
     def render_str(self, text: str, *args: Any, **options: Any) -> Text:
-        """Return a text as :class:`rich.text.Text`."""
         return super().render_str(shown_lines(text), *args, **options)
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
     ) -> Iterator[Segment]:
-        """Yield the segments of something."""
         if isinstance(renderable, Text):
             plain = shown_lines(renderable.plain)
             if plain != renderable.plain:

@@ -67,7 +67,6 @@ class Bounds(NamedTuple):
         return f"be {self}"
 
     def schema(self) -> dict[str, float]:
-        """Return them as JSON Schema."""
         words = ("exclusiveMinimum", "minimum", "maximum", "exclusiveMaximum")
         pairs = zip(words, self, strict=True)
         return {word: bound for word, bound in pairs if math.isfinite(bound)}
@@ -92,7 +91,6 @@ class Section:
         return key in self._values
 
     def place(self, key: str) -> str:
-        """Return the dotted place of an entry."""
         return f"{self.where}.{key}" if self.where else key
 
     def take(self, key: str, default: Any = _MISSING) -> Any:
@@ -117,7 +115,6 @@ class Section:
         return _text(self.take(key, default), self.place(key), self.error)
 
     def section(self, key: str, default: Any = _MISSING) -> Section:
-        """Return a mapping inside this one."""
         return Section(self.take(key, default), self.place(key), self.error)
 
     @property
@@ -156,12 +153,6 @@ def _whole(value: Any, bounds: Bounds, place: str, error: type[HpidError]) -> in
         range_ = "" if bounds == ANY else f", {bounds}"
         raise error(f"{place} must be a whole number{range_}, not {shown(value)}")
     return int(value)
-
-
-def _flag(value: Any, place: str, error: type[HpidError]) -> bool:
-    if not isinstance(value, bool):
-        raise error(f"{place} must be true or false, not {shown(value)}")
-    return value
 
 
 def _text(
@@ -303,7 +294,6 @@ class ParameterSpec(FieldSpec):
 
 
 def record_fields(kind: type[Record]) -> tuple[ParameterSpec, ...]:
-    """Return the fields of a kind of record."""
     found: tuple[ParameterSpec, ...] = _fields_of(cast(Any, kind))
     return found
 
@@ -331,7 +321,6 @@ def _fields_of(kind: Any) -> tuple[ParameterSpec, ...]:
 
 
 def is_record(kind: Any) -> bool:
-    """Return whether a field's type is a record."""
     return isinstance(kind, type) and issubclass(kind, Record)
 
 
@@ -496,7 +485,9 @@ def _as(
     if is_record(kind):
         return from_mapping(kind, value, place, error)
     if kind is bool:
-        return _flag(value, place, error)
+        if not isinstance(value, bool):
+            raise error(f"{place} must be true or false, not {shown(value)}")
+        return value
     if kind is int:
         return _whole(value, what.bounds, place, error)
     if kind is float:

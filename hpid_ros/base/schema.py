@@ -103,7 +103,6 @@ def _shown_default(value: Any) -> str:
 
 
 def field_schema(each: ParameterSpec) -> dict[str, Any]:
-    """Return the JSON Schema of one value."""
     schema = _schema_of(each.kind, each)
     if each.is_optional and is_record(each.kind):
         schema = {"anyOf": [schema, {"const": OFF}]}

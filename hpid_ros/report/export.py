@@ -338,7 +338,6 @@ def _escape(text: str) -> str:
 
 
 def table_json(comparison: Comparison) -> str:
-    """Return runs and ratios as JSON."""
     return json.dumps(comparison.as_mapping(), indent=2) + "\n"
 
 

@@ -75,7 +75,6 @@ PRINT_SAMPLES = 8000  # of a line: twelve times a panel's pixels, so that a PDF 
 
 
 def require_formats(formats: Sequence[str]) -> None:
-    """Refuse a format that no figure is drawn in."""
     for form in formats:
         if form not in FIGURE_FORMATS:
             raise SettingError(unknown_name("figure format", form, FIGURE_FORMATS))
@@ -113,7 +112,6 @@ class Panel(NamedTuple):
 
     @property
     def caption(self) -> str:
-        """The panel in one line."""
         return _caption(self.title, self.y, self.x)
 
 
@@ -142,7 +140,6 @@ class Figure:
 
     @property
     def caption(self) -> str:
-        """The figure in one line."""
         return _caption(self.title, self.y, self.x)
 
 

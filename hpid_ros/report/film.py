@@ -23,6 +23,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
 
 from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.text import figure_text, shown
 from hpid_ros.base.units import NANOSECONDS, Numbers, unit_over
 from hpid_ros.base.yaml_files import load_document
@@ -33,8 +34,7 @@ from hpid_ros.messages.series import RunSeries, SeriesError, seconds_since
 from hpid_ros.metrics.measure import recordings_of
 from hpid_ros.metrics.quantities import Signal, error_of, norm_of_run, position_of, reference_of
 from hpid_ros.report.figures import INK, NO_RUN, PAPER, RUN_STYLES, Figure, Line, Panel, are_slides
-from hpid_ros.report.plots import draw_panel
-from hpid_ros.report.style import figure_style
+from hpid_ros.report.plots import draw_panel, figure_style
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import integrated
 from hpid_ros.robot.kinematics import axis_rotations, link_poses
@@ -54,34 +54,26 @@ _SHORTEST = 1e-3  # [s]
 
 
 @dataclass(frozen=True)
-class FilmSettings:
+class FilmSettings(Record):
     """What an animation shows, and how."""
 
-    width: int = 720  # of the picture, in pixels
-    height: int = 450
-    fps: float = 12.5  # pictures in a second; formats count in hundredths of a second
-    start: float = 0.0  # first instant, seconds since the first state
-    end: float | None = None  # last instant; None for the runs' last state
-    speed: float | None = None  # seconds shown in one of the clock
-    joint: str | None = None  # draw this joint's position below
-    engine: str | None = None  # a name of an engine; whichever it is, MuJoCo draws
-    azimuth: float = -50.0  # [deg] where the camera stands, about z from x
-    elevation: float = 16.0  # [deg] how far above the robot's middle
-
-    def __post_init__(self) -> None:
-        for name, least, most in (
-            ("width", 160, 3840),
-            ("height", 160, 2160),
-            ("fps", 1.0, 50.0),
-            ("speed", 0.01, 1000.0),
-            ("azimuth", -360.0, 360.0),
-            ("elevation", -85.0, 85.0),
-        ):
-            value = getattr(self, name)
-            if value is not None and not least <= value <= most:
-                raise SettingError(f"{name} {value:g} must be from {least:g} to {most:g}")
-        if self.engine is not None and self.engine not in ENGINES:
-            raise SettingError(unknown_name("engine", self.engine, ENGINES))
+    width: int = quantity("Of the picture", "pixels", default=720, least=160, most=3840)
+    height: int = quantity("Of the picture", "pixels", default=450, least=160, most=2160)
+    # Formats count in hundredths of a second.
+    fps: float = quantity("Pictures in a second", "1/s", default=12.5, least=1.0, most=50.0)
+    start: float = quantity("First instant, since the first state", "s", default=0.0)
+    end: float | None = quantity("Last instant; None for the last state", "s", default=None)
+    speed: float | None = quantity(
+        "Seconds shown in one of the clock", default=None, least=0.01, most=1000.0
+    )
+    joint: str | None = quantity("Whose position is drawn below", default=None)
+    engine: str | None = quantity("Whichever it is, MuJoCo draws", default=None, choices=ENGINES)
+    azimuth: float = quantity(
+        "Where the camera stands, about z from x", "deg", default=-50.0, least=-360.0, most=360.0
+    )
+    elevation: float = quantity(
+        "Above the robot's middle", "deg", default=16.0, least=-85.0, most=85.0
+    )
 
     @property
     def period_ms(self) -> int:
@@ -107,8 +99,6 @@ class FilmSettings:
 
 
 class Film(NamedTuple):
-    """An animation."""
-
     frames: list[Image.Image]  # the pictures
     period_ms: int  # [ms] how long each stands
     instants: Numbers  # what each shows, seconds since the first state
@@ -354,7 +344,6 @@ class _Page:
         self._window, self._box = window, panel.get_window_extent()
 
     def frame(self, instant: float, pictures: Sequence[Pixels]) -> Image.Image:
-        """Return the frame of an instant."""
         frame = Image.new("RGB", self._size, PAPER)
         pen = ImageDraw.Draw(frame)
         middle = self._header // 2 + 2

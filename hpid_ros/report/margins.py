@@ -18,7 +18,7 @@ from rich.text import Text
 from hpid_ros.base.text import figure_text
 from hpid_ros.base.units import Numbers, of_slide
 from hpid_ros.report.figures import INK, RUN_STYLES
-from hpid_ros.report.style import (
+from hpid_ros.report.plots import (
     DOTS_PER_INCH,
     WIDTH_IN,
     figure_style,

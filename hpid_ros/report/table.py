@@ -164,12 +164,10 @@ class TableColumn(NamedTuple):
 
     @property
     def width(self) -> int:
-        """How wide it is, unfolded."""
         return max(Text(self.heading).cell_len, *map(_width, self.cells), 1)
 
     @property
     def least_width(self) -> int:
-        """How wide it is at least."""
         return min(self.width, _LEAST_TEXT) if self.is_text else self.width
 
 
@@ -284,8 +282,6 @@ _TEXTS = ("joint", "controller", "verdict", "certified")  # columns that may fol
 
 
 class Grid(NamedTuple):
-    """One table."""
-
     key: str  # its name in files
     title: str  # what it shows
     headings: tuple[str, ...]  # of the columns; the first column is text

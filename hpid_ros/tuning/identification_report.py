@@ -17,9 +17,8 @@ from rich.text import Text
 from hpid_ros.base.text import figure_text, shown
 from hpid_ros.base.units import Numbers
 from hpid_ros.motion.excitation import ExcitationPlan
-from hpid_ros.report.blocks import NOTHING
 from hpid_ros.report.figures import INK, REFERENCE, RUN_STYLES
-from hpid_ros.report.style import (
+from hpid_ros.report.plots import (
     DOTS_PER_INCH,
     WIDTH_IN,
     add_legend,
@@ -27,7 +26,7 @@ from hpid_ros.report.style import (
     laid_out,
     plain_ticks,
 )
-from hpid_ros.report.table import TableColumn, WideTable
+from hpid_ros.report.table import UNDEFINED, TableColumn, WideTable
 from hpid_ros.tuning.regression import (
     COULOMB,
     DELAY,
@@ -316,15 +315,19 @@ def _table(found: RobotIdentification, has_robot: bool) -> WideTable:
 
     def estimates(heading: str, name: str, factor: float = 1.0) -> TableColumn:
         known = [each.estimates.get(name) for each in joints]
-        return TableColumn(heading, [_plain(each, factor) if each else NOTHING for each in known])
+        return TableColumn(
+            heading, [_plain(each, factor) if each else UNDEFINED for each in known]
+        )
 
     columns = [estimates("rotor" if has_robot else "inertia", INERTIA)]
     if has_robot:
         moved = [found.moved.get(each.joint) for each in joints]
-        ranges = [f"{each.least:.3g} … {each.largest:.3g}" if each else NOTHING for each in moved]
+        ranges = [
+            f"{each.least:.3g} … {each.largest:.3g}" if each else UNDEFINED for each in moved
+        ]
         columns.append(TableColumn("moves", ranges))
     fits = [
-        f"{math.floor(each.explained * 1000.0) / 10.0:.1f} %" if each.rows else NOTHING
+        f"{math.floor(each.explained * 1000.0) / 10.0:.1f} %" if each.rows else UNDEFINED
         for each in joints
     ]
     columns += [

@@ -14,7 +14,7 @@ from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.metrics.comparison import verdict
 from hpid_ros.metrics.quantities import INDICES, ITAE, IVC, Quantity
-from hpid_ros.report.blocks import (
+from hpid_ros.report.page import (
     NOTHING,
     Block,
     Heading,
@@ -25,8 +25,9 @@ from hpid_ros.report.blocks import (
     Properties,
     Steps,
     Title,
+    page_figures,
+    render_page,
 )
-from hpid_ros.report.page import page_figures, render_page
 from hpid_ros.report.table import Cell, format_ratio, format_values
 from hpid_ros.stability.margins import Margins
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS

@@ -33,7 +33,7 @@ from hpid_ros.messages.storage import (
 from hpid_ros.messages.writer import BagWriter, repair_bag
 from hpid_ros.metrics.folding import quality_lines
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
-from hpid_ros.report.blocks import Paragraph, data_quality
+from hpid_ros.report.page import Paragraph, data_quality
 
 MS = 1_000_000
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -52,6 +52,18 @@ def pure_loop(motion=None, **parameters):
     return loop
 
 
+def loops_with(**common):
+    """Return :func:`loop_settings` and :func:`pure_loop`, these parameters given beforehand."""
+
+    def settings(**changes):
+        return loop_settings(**common | changes)
+
+    def loop_on(motion=None, **changes):
+        return pure_loop(motion, **common | changes)
+
+    return settings, loop_on
+
+
 class Joint:
     """A joint of constant inertia under a load and friction, at rest; exact without friction."""
 

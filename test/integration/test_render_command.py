@@ -101,15 +101,18 @@ def test_no_wish_that_cannot_be_met_writes_anything(own, refused):
     (own.parent / "there.gif").write_text("mine")
     for options, line in (
         (["--size", "big"], "--size 'big' must be WIDTHxHEIGHT"),
-        (["--size", "20x20"], "width 20 must be from 160 to 3840"),
-        (["--fps", "0"], "fps 0 must be from 1 to 50"),
-        (["--fps", "nan"], "fps nan must be from 1 to 50"),
+        (
+            ["--size", "20x20"],
+            "width must be a whole number, at least 160 and at most 3840, not 20",
+        ),
+        (["--fps", "0"], "fps must lie in [1, 50], not 0"),
+        (["--fps", "nan"], "fps must lie in [1, 50], not nan"),
         (["--from", "9"], "from 9 s to 0.3 s is not within the runs, which take 0.3 s"),
-        (["--to", "nan"], "from 0 s to nan s is not within"),
+        (["--to", "nan"], "end must be finite, not nan"),
         (["--speed", "0.01", "--fps", "50", "--size", "160x160"], "more than 1500"),
         (["--joint", "elbow"], "unknown joint 'elbow'"),
         (["--controller", "LQR"], "unknown run 'LQR'"),
-        (["--engine", "povray"], "unknown engine 'povray'"),
+        (["--engine", "povray"], "engine must be one of "),
         (["--at", "0.1", "--to", "0.2"], "--at is one instant"),
         (["--at", "0.1", "--report"], "--report takes an animation"),
         (["-o", "arm.mp4"], "must be one of .webp, .gif, .png, not '.mp4'"),

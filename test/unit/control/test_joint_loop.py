@@ -5,7 +5,7 @@ import math
 from functools import partial
 
 import pytest
-from harness.loops import loop_settings, pure_loop
+from harness.loops import loops_with
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,16 +18,7 @@ from hpid_ros.motion import Column, Knot
 MS = 1_000_000
 SECOND = 1000 * MS
 
-
-VALUES = {"joint": "j", "gains": Gains(10.0, 4.0, 2.0), "law": "pid"}
-
-
-def settings(**changes):
-    return loop_settings(**VALUES | changes)
-
-
-def loop_on(motion=None, **changes):
-    return pure_loop(motion, **VALUES | changes)
+settings, loop_on = loops_with(joint="j", gains=Gains(10.0, 4.0, 2.0), law="pid")
 
 
 def hold(loop, count, position=0.0, velocity=0.0):

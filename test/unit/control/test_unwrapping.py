@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from harness.loops import loop_settings, pure_loop
+from harness.loops import loops_with
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,20 +14,9 @@ from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000
 SECOND = 1000 * MS
-
-
 TURN = Column("j", (Knot(0, 0.0, 3.0), Knot(20 * SECOND, 60.0, 3.0)), stamp_ns=1)
 
-
-VALUES = {"joint": "j", "gains": Gains(100.0, 50.0, 20.0), "law": "pid"}
-
-
-def settings(**changes):
-    return loop_settings(**VALUES | changes)
-
-
-def loop_on(motion=None, **changes):
-    return pure_loop(motion, **VALUES | changes)
+settings, loop_on = loops_with(joint="j", gains=Gains(100.0, 50.0, 20.0), law="pid")
 
 
 @given(

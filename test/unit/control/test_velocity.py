@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from harness.loops import Joint, drive, pure_loop
+from harness.loops import Joint, drive, loops_with
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
@@ -228,8 +228,7 @@ FIGURES = {
 }
 
 
-def loop_of(motion=None, **changes):
-    return pure_loop(motion, **VALUES | changes)
+_, loop_of = loops_with(**VALUES)
 
 
 def joint_of(load=0.0, inertia=INERTIA):

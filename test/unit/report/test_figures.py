@@ -28,8 +28,15 @@ from hpid_ros.metrics.laws import gain_signals
 from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, norm_over_joints
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.figures import NO_RUN, PAPER, RUN_STYLES, figures_of, phase_curve
-from hpid_ros.report.plots import drawn, render
-from hpid_ros.report.style import TickLabels, laid_out, legend_outside, log_ticks
+from hpid_ros.report.plots import (
+    TickLabels,
+    drawn,
+    figure_style,
+    laid_out,
+    legend_outside,
+    log_ticks,
+    render,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -66,6 +73,14 @@ def figures(runs, samples=20_000, **more):
 
 def drawing(figure, runs):
     return drawn(figure, [run.label for run in runs])
+
+
+def shown(figure, runs):
+    """Return a drawing whose places are all known."""
+    plot = drawing(figure, runs)
+    with figure_style():
+        plot.draw_without_rendering()
+    return plot
 
 
 def panels(plot):
@@ -249,7 +264,7 @@ def test_runs_without_commands_or_of_one_state_can_be_drawn():
         found = figures(some)
         assert set(found) == set(NAMES) - left_out
         for figure in found.values():
-            assert render(drawing(figure, some), "png").startswith(b"\x89PNG")
+            assert panels(shown(figure, some))
 
 
 # Layout ----------------------------------------------------------------------------------------
@@ -301,9 +316,11 @@ def test_no_labels_overlap_whatever_the_number_of_joints(joints):
     runs = [swing(label, joints=joints, count=201) for label in labels]
     settings = {f"joint{k}": SETTINGS for k in range(joints)}
     gains = {run.label: gain_signals(run, settings) for run in runs}
-    for name, figure in figures(runs, gains=gains).items():
-        plot = drawing(figure, runs)
-        render(plot, "png")
+    found = figures(runs, gains=gains)
+    # The others are laid out as one of these; the last two alike for any number of joints.
+    kinds = ("positions", "spectrum", "phase", "multiplier", "error_norm", "trade_off")
+    for name in kinds if joints == 1 else kinds[:4]:
+        plot = shown(found[name], runs)
         boxes = boxes_of(plot)
         for k, box in enumerate(boxes):
             assert min(box.x0, box.y0) >= 0, name

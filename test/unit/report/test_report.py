@@ -150,7 +150,7 @@ def test_the_charts_hold_the_recorded_signals(text, runs):
 
 def test_a_long_run_of_many_joints_stays_a_small_page_and_keeps_its_peaks():
     names = [f"joint{k}" for k in range(8)]
-    t = np.arange(60_001) * 1e-3
+    t = np.arange(20_001) * 1e-3
     stamps = np.round(t * 1e9).astype(np.int64)
     random = np.random.default_rng(0)
     many = []
@@ -217,16 +217,8 @@ def test_losses_parameters_and_provenance_are_listed(text):
 
 MARKUP = st.sampled_from(
     [
-        *(
-            "<script>",
-            "</script>",
-            "</style>",
-            "<!--",
-            "-->",
-            "<b onclick='x'>",
-            '" onload="x',
-            "]]>",
-        ),
+        *("<script>", "</script>", "</style>", "<!--", "-->", "<b onclick='x'>"),
+        *('" onload="x', "]]>"),
         *("{{ 7 * 7 }}", "{% raw %}", "&lt;", "&#60;", "^2", "\x1b[2J", "\u202e", "'", "`", "\0"),
     ]
 )
@@ -319,20 +311,9 @@ def test_without_references_there_are_no_figures_of_errors_and_the_reason_is_sai
 
 def test_runs_that_cannot_be_compared_get_no_verdict():
     short = response("hPID", 1.2)
+    names = ("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort")
     half = tuple(
-        JointSeries(
-            each.joint,
-            *(
-                getattr(each, name)[:150]
-                for name in (
-                    "state_stamps_ns",
-                    "position",
-                    "reference",
-                    "command_stamps_ns",
-                    "effort",
-                )
-            ),
-        )
+        dataclasses.replace(each, **{name: getattr(each, name)[:150] for name in names})
         for each in short.joints
     )
     text = report([response("PID", 0.6), dataclasses.replace(short, joints=half)])

