@@ -16,11 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.episodes import Episode, run_episode, sines, undisturbed
-from hpid_ros.base.errors import RunError
-from hpid_ros.base.processes import heed_interrupts
+from benchmarks.processes import FAILED, exit_code
+from hpid_ros.base.errors import SettingError
 
 EPISODE = 30.0  # [s] of simulated time
-_FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 _HEADER = (
     " episode  faults  states  others [rad]  settled [rad]  takeover [N m]  longest cycle [s]"
 )
@@ -29,19 +28,14 @@ _HEADER = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run as long as the arguments say and print what came of it."""
     options = _parser().parse_args(arguments)
-    if not options.minutes > 0.0:
-        print(f"--minutes must be positive, not {options.minutes:g}", file=sys.stderr)
-        return _BAD_INPUT
-    heed_interrupts()
-    try:
+
+    def run() -> int:
+        if not options.minutes > 0.0:
+            raise SettingError(f"--minutes must be positive, not {options.minutes:g}")
         with tempfile.TemporaryDirectory(prefix="hpid_faults_") as name:
             return _run(Path(name), options.minutes, options.seed)
-    except RunError as error:
-        print(f"faults: {error}", file=sys.stderr)
-        return _FAILED
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return _INTERRUPTED
+
+    return exit_code("faults", run)
 
 
 def _run(folder: Path, minutes: float, seed: int) -> int:
@@ -66,7 +60,7 @@ def _run(folder: Path, minutes: float, seed: int) -> int:
     counts = Counter(fault.kind for fault in faults)
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
     print(f"{len(faults)} faults ({kinds}) in {episodes * length / 60.0:g} min of simulated time")
-    return _FAILED if any(result.broken() for result in results) else 0
+    return FAILED if any(result.broken() for result in results) else 0
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -9,17 +9,36 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from hpid_ros.base.errors import RunError
-from hpid_ros.base.processes import raise_if_interrupted, uninterrupted
+from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.base.processes import heed_interrupts, raise_if_interrupted, uninterrupted
 from hpid_ros.experiment.forking import Beginning
 from hpid_ros.experiment.processes import end_all
 
 ROOT = Path(__file__).resolve().parents[1]
+
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
+
+
+def exit_code(name: str, run: Callable[[], int]) -> int:
+    """Return the exit code of a command, whose failure or interrupt is one line."""
+    heed_interrupts()
+    try:
+        return run()
+    except SettingError as error:
+        print(error, file=sys.stderr)
+        return BAD_INPUT
+    except RunError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+
 
 _PATIENCE = 3.0  # [s] for all to end when asked
 _LOOK_EVERY = 0.2  # [s]

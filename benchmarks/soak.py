@@ -24,10 +24,10 @@ from typing import Any
 
 from benchmarks.disturbed_graph import DisturbedGraph, Fault
 from benchmarks.episodes import LABEL, is_planned, sines
-from benchmarks.processes import Scripts
+from benchmarks.processes import FAILED, Scripts, exit_code
 from benchmarks.surroundings import loopback_environment
-from hpid_ros.base.errors import RunError
-from hpid_ros.base.processes import heed_interrupts, raise_if_interrupted
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.experiment.processes import NodeGroup, own_domain
 
 GROWTH_AT_MOST = 1.0  # [MiB] of any process after the warm-up
@@ -39,7 +39,6 @@ _WARM_UP_OF_ONE = 30.0  # [s] after its own start, for a controller that was res
 _FOREVER = 1e5  # [s] of simulated time
 _TELL = 60.0  # [s]
 _MIB = 1024.0 * 1024.0
-_FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
 
 @dataclass
@@ -168,22 +167,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run as long as the arguments say and print what came of it."""
     options = _parser().parse_args(arguments)
     warm_up = warm_up_of(options.minutes) if options.warm_up is None else options.warm_up
-    if not options.minutes > 0.0 or not 0.0 <= warm_up < options.minutes:
-        print("--minutes must be positive and --warm-up shorter", file=sys.stderr)
-        return _BAD_INPUT
-    heed_interrupts()
-    try:
+
+    def run() -> int:
+        if not options.minutes > 0.0 or not 0.0 <= warm_up < options.minutes:
+            raise SettingError("--minutes must be positive and --warm-up shorter")
         with tempfile.TemporaryDirectory(prefix="hpid_soak_") as name:
             result = soak(options.minutes, warm_up, options.seed, Path(name))
             raise_if_interrupted()
-    except RunError as error:
-        print(f"soak: {error}", file=sys.stderr)
-        return _FAILED
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return _INTERRUPTED
-    _print(result)
-    return _FAILED if result.broken() else 0
+        _print(result)
+        return FAILED if result.broken() else 0
+
+    return exit_code("soak", run)
 
 
 def _print(result: Soak) -> None:

@@ -29,8 +29,8 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from benchmarks.processes import exit_code
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
-from hpid_ros.base.processes import heed_interrupts
 from hpid_ros.experiment.processes import (
     NodeGroup,
     NodeProcess,
@@ -51,7 +51,6 @@ _RUN_IN, _AFTER, _WITHIN = 1.5, 1.0, 30.0  # [s]
 _LONGEST = 0.1  # [s]; longer there is no command of the loop: that is what is measured
 PACE = 400.0
 """How fast the effort may move with a reference that glides back onto its motion, in [N m/s]."""
-_FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
 
 @dataclass(frozen=True)
@@ -383,8 +382,8 @@ def a_joint() -> Iterator[Driver]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure the stimuli that the arguments name and print them as a table."""
     names = list(sys.argv[1:] if arguments is None else arguments) or list(STIMULI)
-    heed_interrupts()
-    try:
+
+    def run() -> int:
         for name in names:
             if name not in STIMULI:
                 raise SettingError(unknown_name("stimulus", name, STIMULI))
@@ -398,16 +397,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"| {name} | {felt.before:.1f} | {felt.step:.1f} | {to_zero} | {felt.note} |",
                 flush=True,
             )
-    except SettingError as error:
-        print(error, file=sys.stderr)
-        return _BAD_INPUT
-    except RunError as error:
-        print(f"stimuli: {error}", file=sys.stderr)
-        return _FAILED
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return _INTERRUPTED
-    return 0
+        return 0
+
+    return exit_code("stimuli", run)
 
 
 if __name__ == "__main__":

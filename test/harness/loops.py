@@ -73,7 +73,7 @@ class Joint:
 
     def push(self, effort, dt=1e-3):
         """Move under an effort for some time in [s]."""
-        steps = 20 if self.viscous or self.coulomb else 1
+        steps = 20 if self.coulomb else 4 if self.viscous else 1
         h = dt / steps
         for _ in range(steps):
             friction = self.viscous * self.velocity

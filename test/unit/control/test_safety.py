@@ -26,9 +26,10 @@ WITHOUT_VELOCITIES = ["filtered", "homogeneous_differentiator", "observer"]
 settings, loop_on = loops_with(joint="j", gains=Gains(100.0, 50.0, 20.0), law="pid")
 
 
-def run(loop, first_ms, last_ms, position):
+def run(loop, first_ms, last_ms, position, velocity=0.0):
+    """Return the last effort of a joint at rest, or of one that passes 0 at 0 s."""
     for k in range(first_ms, last_ms):
-        effort = loop.step(k * MS, position, 0.0)
+        effort = loop.step(k * MS, position + velocity * k * 1e-3, velocity)
     return effort
 
 
@@ -143,8 +144,7 @@ def test_a_joint_that_is_elsewhere_for_good_is_taken_over_from_there():
 def test_the_damping_of_jumps_in_a_row_is_not_added_up():
     """An encoder that is now here, now there, on a joint that moves all the while."""
     loop = loop_on(velocity_max=5.0)
-    for k in range(200):
-        here = loop.step(k * MS, 1e-3 * k, 1.0)
+    here = run(loop, 0, 200, 0.0, 1.0)
     efforts = [
         loop.step(k * MS, 1e-3 * k + (2.0 if (k // 2) % 2 else 0.0), 1.0) for k in range(200, 240)
     ]
@@ -336,8 +336,7 @@ def test_a_damping_stop_only_takes_energy_out_and_ends_with_nothing():
 
 def test_a_damping_stop_lasts_as_long_however_old_the_last_usable_state_is():
     loop = loop_on()
-    for k in range(50):
-        loop.step(k * MS, 1e-3 * k, 1.0)
+    run(loop, 0, 50, 0.0, 1.0)
     for k in range(50, 90):
         loop.step(k * MS, math.nan, 1.0)
     stop = loop.damping_stop(0.02)
@@ -350,8 +349,7 @@ def test_a_damping_stop_lasts_as_long_however_old_the_last_usable_state_is():
 
 def test_a_repeat_gets_from_a_damping_stop_what_the_state_got():
     loop = loop_on()
-    for k in range(50):
-        loop.step(k * MS, 1e-3 * k, 1.0)
+    run(loop, 0, 50, 0.0, 1.0)
     stop = loop.damping_stop(0.1)
     assert stop.step(49 * MS, 0.049, 1.0) == 0.0  # the law's effort does not go on
     effort = stop.step(50 * MS, 0.05, 1.0)
@@ -418,8 +416,7 @@ def test_another_effort_after_a_fault_stays_where_parameters_are_set():
 def test_a_jump_that_is_confirmed_after_a_retune_keeps_no_damping_in_its_integral():
     loop, twin = (loop_on(velocity_max=5.0) for _ in range(2))
     for each in (loop, twin):
-        for k in range(50):
-            each.step(k * MS, 2e-3 * k, 2.0)
+        run(each, 0, 50, 0.0, 2.0)
         each.step(50 * MS, 9.0, 2.0)
     loop.retune(twin.settings)
     assert loop.step(51 * MS, 9.0, 2.0) == twin.step(51 * MS, 9.0, 2.0)
