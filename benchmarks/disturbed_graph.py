@@ -61,7 +61,7 @@ class DisturbedGraph:
         self.nodes = GraphNodes(experiment, label, bag, folder, options)
         self.joints = experiment.world.joints
         self.faults: list[Fault] = []
-        self.misses: list[tuple[str, int]] = []
+        self.misses: list[tuple[str, int]] = []  # joint and stamp [ns] of each that was given up
         self.events: dict[tuple[str, str], Mapping[str, Any]] = {}
         self.stamp_ns = 0
         self._group, self._chance = group, chance

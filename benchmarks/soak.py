@@ -53,7 +53,7 @@ class Soak:
     unplanned: Sequence[tuple[str, int]] = ()
     # growth of each process's memory after its warm-up, in [MiB], by name and pid
     growth: Mapping[tuple[str, int], float] = field(default_factory=dict)
-    left: Sequence[str] = ()  # A line for each process or thread that was left behind
+    left: Sequence[str] = ()  # a line for each process or thread that was left behind
 
     def broken(self) -> list[str]:
         """Return a line for each promise that was not kept."""
