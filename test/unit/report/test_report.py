@@ -61,6 +61,10 @@ def data_of(text):
     return json.loads(text[begin : text.index("</script>", begin)])
 
 
+def figures_in(text):
+    return {figure["name"]: figure for figure in data_of(text)["figures"]}
+
+
 def floats(packed):
     return np.frombuffer(base64.b64decode(packed), dtype="<f4")
 
@@ -118,20 +122,19 @@ def test_the_table_holds_every_number_of_every_run(text, runs):
 
 
 def test_every_figure_has_a_place_a_caption_and_its_data(text):
-    page, data = Page(text), data_of(text)
-    names = [figure["name"] for figure in data["figures"]]
-    assert names == [
+    page, figures = Page(text), figures_in(text)
+    assert list(figures) == [
         *("positions", "errors", "efforts", "effort_norm", "error_norm", "spectrum", "phase"),
         "trade_off",
     ]
-    assert set(names) <= set(page.ids)
-    for figure in data["figures"]:
+    assert set(figures) <= set(page.ids)
+    for figure in figures.values():
         assert f"<summary>{figure['caption']}</summary>" in text
         assert re.search(r"\[.+\]", figure["caption"]), "no unit"
 
 
 def test_the_charts_hold_the_recorded_signals(text, runs):
-    figures = {figure["name"]: figure for figure in data_of(text)["figures"]}
+    figures = figures_in(text)
     for name, attribute in (("positions", "position"), ("errors", "error"), ("efforts", "effort")):
         for k, panel in enumerate(figures[name]["panels"]):
             lines = {line["run"]: line for line in panel["lines"]}
@@ -163,7 +166,7 @@ def test_a_long_run_of_many_joints_stays_a_small_page_and_keeps_its_peaks():
         many.append(RunSeries(label, tuple(joints)))
     text = report(many)
     assert len(text) < 3_000_000
-    figures = {figure["name"]: figure for figure in data_of(text)["figures"]}
+    figures = figures_in(text)
     for panel in figures["efforts"]["panels"]:
         assert all(floats(line["y"]).max() == 50.0 for line in panel["lines"])
 
@@ -175,7 +178,7 @@ def test_gains_and_retunes_are_drawn_and_listed(runs):
         runs[1], retunes=(Retune(3_000_000_000, "/elbow_controller", "mu = -0.2"),)
     )
     text = report([runs[0], retuned], gains=gains)
-    figures = {figure["name"]: figure for figure in data_of(text)["figures"]}
+    figures = figures_in(text)
     assert [line["run"] for line in figures["multiplier"]["panels"][0]["lines"]] == [1]
     assert figures["norm"]["yLog"]
     assert figures["efforts"]["panels"][0]["marks"] == [{"run": 1, "x": 3.0}]
@@ -265,9 +268,9 @@ def test_numbers_without_recordings_have_a_report_that_says_so(runs):
     text = render_report(comparison, (), {}, {})
     Page(text)
     assert "saved without their recordings" in text
-    assert [figure["name"] for figure in data_of(text)["figures"]] == ["trade_off"]
-    partly = data_of(render_report(comparison, runs[1:], {}, {}))
-    lines = partly["figures"][1]["panels"][0]["lines"]
+    assert list(figures_in(text)) == ["trade_off"]
+    partly = figures_in(render_report(comparison, runs[1:], {}, {}))
+    lines = partly["errors"]["panels"][0]["lines"]
     assert [line["run"] for line in lines] == [1]  # the colour is that of its place in the table
 
 
@@ -296,16 +299,14 @@ def test_without_references_there_are_no_figures_of_errors_and_the_reason_is_sai
     whole = response("PID", 0.6)
     series = tuple(dataclasses.replace(each, reference=()) for each in whole.joints)
     text = report([dataclasses.replace(whole, joints=series)])
-    names = [figure["name"] for figure in data_of(text)["figures"]]
+    names = list(figures_in(text))
     assert names == ["positions", "efforts", "effort_norm", "spectrum"]
     assert "<p>No ITAE, ||e||: no reference was recorded.</p>" in text
     assert "no time-weighted error (ITAE), as no reference was recorded" in text
     bare = tuple(
         dataclasses.replace(each, command_stamps_ns=(), effort=()) for each in whole.joints
     )
-    names = [
-        f["name"] for f in data_of(report([dataclasses.replace(whole, joints=bare)]))["figures"]
-    ]
+    names = list(figures_in(report([dataclasses.replace(whole, joints=bare)])))
     assert names == ["positions", "errors", "error_norm", "phase"]
 
 
