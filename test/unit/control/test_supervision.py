@@ -245,3 +245,11 @@ def test_a_watchdog_says_when_to_look_again():
     assert watchdog.is_silent(10**9 + 101 * MS)
     watchdog.forget()
     assert not watchdog.is_silent(10**9 + 101 * MS)
+
+
+def test_a_damping_stop_damps_the_measured_velocity_and_a_step_within_the_largest_is_no_outlier():
+    joint = settled(velocity_max=2.0)
+    joint.damp(0.5)
+    for position in (0.3, 0.4, 0.3):  # 0.1 rad may be a count, and 2 ms of the largest speed more
+        joint.now += MS
+        assert joint.answer(joint.now, position, 1.0, joint.now) < -1.0

@@ -166,6 +166,7 @@ def test_one_that_is_always_late_is_waited_for_once_and_again_when_it_is_in_time
         assert len(robot.sent) - before == 2
         robot.stamp += PERIOD
     assert first == [PERIOD // 2, 0, 0, 0]
+    assert robot.merger.counts["elbow"].late == 4
     for messages in (2, 1, 1):  # it answers in time again, and the next round waits for it
         in_time = {**dict.fromkeys(NAMES, 0), "elbow": PERIOD // 10}
         assert len(robot.state(robot.stamp, efforts, in_time)) == messages
