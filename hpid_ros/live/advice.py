@@ -194,7 +194,6 @@ class AdviceClient:
             self._has_work.notify()
 
     def close(self) -> None:
-        """End the process."""
         with self._has_work:
             self._is_open = False
             self._has_work.notify()

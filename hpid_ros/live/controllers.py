@@ -48,7 +48,6 @@ class Controller:
 
     @classmethod
     def of(cls, node: str, parameters: Mapping[str, Any]) -> Controller:
-        """Return a controller that has been found."""
         settings = LoopSettings.from_parameters(_of_loop(parameters))
         limits = _described_limits(str(parameters["robot_description"]), settings.joint)
         return cls(node, parameters, limits.within(settings), limits)
@@ -79,7 +78,6 @@ class Controller:
 
     @property
     def requires_certificate(self) -> bool:
-        """Whether it refuses what is not certified."""
         return bool(self.parameters["require_certificate"])
 
 

@@ -50,8 +50,6 @@ _READY_WITHIN = 15.0  # [s]
 
 @dataclass(frozen=True)
 class OrderParameters(Record):
-    """What shall be done."""
-
     plan_file: str = quantity("JSON file that hpid has written", default="")
 
 
@@ -436,12 +434,10 @@ class Exciter(MovingNode):
                 )
 
     def begin_stop(self) -> Future | None:
-        """Stop the joints, and wait until they rest."""
-        self._act(self._follower.leave("it was interrupted"))
+        self.stop_now()
         return self._resting
 
     def stop_now(self) -> None:
-        """Stop the joints, if that has not been done."""
         self._act(self._follower.leave("it was interrupted"))
 
     def close(self) -> None:
@@ -460,7 +456,6 @@ def _decoded(raw: bytes) -> Any:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the exciter."""
     return executor.run(lambda: [Exciter()], args)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +10,6 @@ import numpy as np
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
-from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.live.controllers import Samples
 
@@ -40,7 +37,6 @@ class Track:
         return self._rows[self._first : self._end]
 
     def clear(self) -> None:
-        """Forget all."""
         self._first = self._end = 0
         self._drawn_until = -math.inf
 
@@ -65,7 +61,6 @@ class Track:
         self._first, self._end = 0, len(kept)
 
     def since(self, time: float) -> Numbers:
-        """Return the rows later than a time."""
         rows = self.rows
         return rows[int(np.searchsorted(rows[:, 0], time, side="right")) :]
 
@@ -83,7 +78,6 @@ class Track:
         return rows[first:last]
 
     def latest(self, over: float) -> Numbers:
-        """Return the rows of the last seconds."""
         rows = self.rows
         return self.within(rows[-1, 0] - over, rows[-1, 0]) if len(rows) else rows
 
@@ -100,38 +94,6 @@ class WindowIndices(NamedTuple):
 _NO_INDICES = WindowIndices(*(math.nan,) * 4)
 
 
-@dataclass(frozen=True)
-class _Law:
-    """The norm of a loop's settings, and what it multiplies the bandwidth by."""
-
-    settings: LoopSettings
-
-    @cached_property
-    def _norm(self) -> WeightedNorm | CanonicalNorm:
-        return make_norm(self.settings)
-
-    @cached_property
-    def _limits(self) -> tuple[float, float] | None:
-        law = make_law(self.settings)
-        return (law.norm_floor, law.norm_cap) if isinstance(law, HomogeneousPid) else None
-
-    def rows(self, errors: Numbers) -> Numbers:
-        """Return time, norm and multiplier of rows of time, error and rate; nan for a PID."""
-        if self._limits is None:
-            return np.column_stack([errors[:, 0], *(np.full(len(errors), np.nan),) * 2])
-        degree = self.settings.degree
-        found = np.array([self._of(error, rate) for _, error, rate in errors.tolist()])
-        held = np.clip(found, *self._limits)
-        with np.errstate(divide="ignore"):
-            return np.column_stack([errors[:, 0], found, held**degree])
-
-    def _of(self, error: float, rate: float) -> float:
-        try:
-            return self._norm(error, rate)
-        except ArithmeticError:  # of what no joint does, but a message may say
-            return math.inf
-
-
 class JointHistory:
     """Samples of one joint.
 
@@ -141,14 +103,19 @@ class JointHistory:
     """
 
     def __init__(self, settings: LoopSettings) -> None:
-        self._law = _Law(settings)
+        self._tune(settings)
         self._states, self._efforts, self._references = Track(3), Track(2), Track(3)
         self._errors, self._norms = Track(2), Track(3)
 
     def retune(self, settings: LoopSettings) -> None:
-        """Take note of other settings."""
-        if settings != self._law.settings:
-            self._law = _Law(settings)
+        if settings != self._settings:
+            self._tune(settings)
+
+    def _tune(self, settings: LoopSettings) -> None:
+        self._settings, self._norm = settings, make_norm(settings)
+        law = make_law(settings)
+        is_linear = not isinstance(law, HomogeneousPid)
+        self._limits = None if is_linear else (law.norm_floor, law.norm_cap)
 
     @property
     def now(self) -> float:
@@ -201,19 +168,34 @@ class JointHistory:
             at = np.interp(times, states[:, 0], states[:, 1])
             rate = references[:, 2] - self._velocity(times, states)
             rows = np.column_stack([times, self._off(references[:, 1] - at), rate])
-            self._norms.append(self._law.rows(rows))
+            self._norms.append(self._norm_rows(rows))
+
+    def _norm_rows(self, errors: Numbers) -> Numbers:
+        """Return time, norm and multiplier of rows of time, error and rate; nan for a PID."""
+        if self._limits is None:
+            return np.column_stack([errors[:, 0], *(np.full(len(errors), np.nan),) * 2])
+        found = np.array([self._norm_of(error, rate) for _, error, rate in errors.tolist()])
+        held = np.clip(found, *self._limits)
+        with np.errstate(divide="ignore"):
+            return np.column_stack([errors[:, 0], found, held**self._settings.degree])
+
+    def _norm_of(self, error: float, rate: float) -> float:
+        try:
+            return self._norm(error, rate)
+        except ArithmeticError:  # of what no joint does, but a message may say
+            return math.inf
 
     def _velocity(self, times: Numbers, states: Numbers) -> Numbers:
         """Return velocities at times: measured, or differences over what the filter remembers."""
         if np.isfinite(states[-1, 2]):
             return np.asarray(np.interp(times, states[:, 0], np.nan_to_num(states[:, 2])))
-        lag = max(2.0 * self._law.settings.velocity.filter_time_constant, 1e-3)
+        lag = max(2.0 * self._settings.velocity.filter_time_constant, 1e-3)
         ends = [np.interp(t, states[:, 0], states[:, 1]) for t in (times - lag, times)]
         return np.asarray((ends[1] - ends[0]) / lag)
 
     def _off(self, differences: Numbers) -> Numbers:
         """Return errors; of an encoder that starts again, those the shorter way round."""
-        wrap = self._law.settings.encoder.wrap
+        wrap = self._settings.encoder.wrap
         if wrap <= 0.0:
             return differences
         return np.asarray(differences - wrap * np.rint(differences / wrap))

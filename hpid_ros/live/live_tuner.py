@@ -100,7 +100,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the page."""
     return executor.run(lambda: [LiveTuner()], args, USAGE, niceness=_NICENESS)
 
 

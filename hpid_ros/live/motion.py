@@ -18,7 +18,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import IO, Any, Literal, NamedTuple
 
 import yaml
 
@@ -52,20 +52,14 @@ class Button:
     def __init__(self, within: float = HELD_WITHIN) -> None:
         self.within = within
         self._lock = threading.Lock()
-        self._process: Process | None = None
+        self._input: IO[bytes] | None = None  # of the process that it is held for
         self._released_at: float | None = None
 
     def press(self) -> None:
         """Say that it is held: several times in the time allowed, or joints stop."""
-        with self._lock:
-            if (
-                self._process is None
-                or self._process.stdin is None
-                or self._released_at is not None
-            ):
-                return
-            with suppress(BlockingIOError, BrokenPipeError):
-                os.write(self._process.stdin.fileno(), b".")
+        with self._lock, suppress(BlockingIOError, BrokenPipeError):
+            if self._input is not None and self._released_at is None:
+                os.write(self._input.fileno(), b".")
 
     def release(self) -> None:
         """Have the joints stop."""
@@ -85,7 +79,7 @@ class Button:
         assert process.stdin is not None
         os.set_blocking(process.stdin.fileno(), False)
         with self._lock:
-            self._process = process
+            self._input = process.stdin
             if self._released_at is not None:
                 self._close()
         try:
@@ -95,10 +89,10 @@ class Button:
                 self._close()
 
     def _close(self) -> None:
-        if self._process is not None and self._process.stdin is not None:
+        if self._input is not None:
             with suppress(OSError):
-                self._process.stdin.close()
-            self._process = None
+                self._input.close()
+            self._input = None
 
 
 RECORDER = "hpid_excitation_recorder"
@@ -162,9 +156,9 @@ def carried_out(
         ):
             of_mover = [*arguments, "-p", f"plan_file:={file}"]
             process = group.start(mover.name, mover.executable, of_mover, has_input=True)
-            pulse = None if button else Button(_WATCHED_WITHIN)
-            with (button or pulse).held_for(process.process):  # type: ignore[union-attr]
-                return _watched(mover, process, recorder, tell, button, pulse)
+            held = button or Button(_WATCHED_WITHIN)
+            with held.held_for(process.process):
+                return _watched(mover, process, recorder, tell, held, is_own=button is None)
 
 
 @contextmanager
@@ -205,21 +199,22 @@ def _watched(
     process: NodeProcess,
     recorder: NodeProcess,
     tell: Tell,
-    button: Button | None,
-    pulse: Button | None,
+    button: Button,
+    *,
+    is_own: bool,
 ) -> Ending:
     """Wait for the end; an interrupt, the recorder's end or one that is overdue is one, too."""
     try:
         while True:
-            if pulse is not None:  # not while Ctrl-Z has stopped this process
-                pulse.press()
+            if is_own:  # not while Ctrl-Z has stopped this process
+                button.press()
             recorder.read_events()  # a pipe that nobody reads would hold the recorder up
             ending = _ending(mover, process, tell)
             if ending is not None:
                 return ending
             if recorder.process.poll() is not None:
                 return _stopped(mover, process, f"the recorder has ended: {recorder.last_words()}")
-            if button is not None and button.is_overdue():
+            if button.is_overdue():
                 return _stopped(mover, process, RELEASED)
             time.sleep(_LOOK_PERIOD)
     except KeyboardInterrupt:
@@ -299,7 +294,6 @@ def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[Controller]:
 
 
 def bounds_of(controller: Controller, inertia: float | None) -> JointBounds:
-    """Return the bounds of a running controller's joint."""
     settings, limits = controller.settings, controller.limits
     known = inertia or settings.inertia
     if not known and settings.model.is_decoupling:
@@ -433,7 +427,6 @@ class RelayFindings(NamedTuple):
 
 
 def relay_findings(bag: Path, controller: Controller, planned: PlannedRelay) -> RelayFindings:
-    """Return what a bag tells."""
     joint = controller.joint
     recording = read_run(bag, "relay", joints=[joint], progress=lambda share: None)
     (series,) = recording.joints

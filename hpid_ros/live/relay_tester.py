@@ -90,7 +90,6 @@ class RelayTester(MovingNode):
         return super().lacking()
 
     def fail(self, reason: str) -> None:
-        """End without a relay."""
         self.status.send("failed", reason=reason)
         self._finish(executor.FAILED)
 
@@ -145,7 +144,6 @@ class RelayTester(MovingNode):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the tester."""
     return executor.run(lambda: [RelayTester()], args)
 
 

@@ -97,8 +97,8 @@ class Step:
 class Tuning:
     """What a person has staged, done and kept.
 
-    Nothing here reaches a robot: :meth:`staged_sets`, :meth:`undoing` and the others return sets
-    of parameters by node, which somebody sends.
+    Nothing here reaches a robot: :meth:`staged_sets`, :meth:`undoing` and :meth:`towards` return
+    sets of parameters by node, which somebody sends.
     """
 
     first: dict[str, dict[str, Value]] = field(default_factory=dict)
@@ -206,12 +206,11 @@ class Tuning:
         return sets
 
     def undone(self) -> None:
-        """Forget the newest step: it has been taken back."""
         self.done = self.done[:-1]
 
-    def reverting(self, nodes: Sequence[str]) -> dict[str, Values]:
-        """Return the sets after which controllers are as they were first seen."""
-        return self.towards({node: self.first[node] for node in nodes})
+    def starts(self, nodes: Sequence[str]) -> dict[str, Values]:
+        """Return what controllers had when they were first seen."""
+        return {node: self.first[node] for node in nodes}
 
     def keep(self, name: str, nodes: Sequence[str]) -> str:
         """Keep what is active on controllers under a name, and return that."""
@@ -287,7 +286,6 @@ class ControlLock:
 
     @property
     def pages(self) -> int:
-        """How many pages are open."""
         return len(self._pages)
 
     def join(self, page: str) -> None:
@@ -313,12 +311,9 @@ class ControlLock:
 
 _SETS, _SETS_WITHIN = 5, 1.0  # acts of a person in [s]
 _LINES = 200  # of the log
-_CHANGES_KEPT = 200  # of the marks in plots
 
 
 class LogLine(NamedTuple):
-    """Something that happened."""
-
     at: float  # [s] wall time
     text: str  # one line
     is_bad: bool = False  # whether something was refused, or has failed
@@ -327,29 +322,24 @@ class LogLine(NamedTuple):
 class Mark(NamedTuple):
     """A change of parameters, as plots mark it."""
 
-    number: int  # of all marks, increasing
     node: str  # of the controller
     time: float  # [s] on the control clock of its joint
     text: str  # what changed
 
 
 class LiveSession:
-    """The session."""
-
     def __init__(self, graph: GraphClient, advice: AdviceClient) -> None:
         self.graph = graph
         self.tuning = Tuning()
         self.control_lock = ControlLock()
         self.log: deque[LogLine] = deque(maxlen=_LINES)
         self.said = 0
-        self.marks: deque[Mark] = deque(maxlen=_CHANGES_KEPT)
         self._advice = advice
         self._histories: dict[str, JointHistory] = {}
         self._known: dict[tuple[str, bool], tuple[Values, Advice]] = {}
         self._asked: dict[tuple[str, bool], Values] = {}
         self._limit = Limit(_SETS, _SETS_WITHIN)
         self._acting = asyncio.Lock()  # what one act replaces is what the one before it has set
-        self._marked = 0
         self._here: dict[str, bool] = {}
         self._watched: tuple[str, ...] = ()
 
@@ -357,7 +347,6 @@ class LiveSession:
 
     @property
     def controllers(self) -> Mapping[str, Controller]:
-        """The controllers by the full names of their nodes."""
         return self.graph.controllers()
 
     def label(self, node: str) -> str:
@@ -374,8 +363,8 @@ class LiveSession:
 
     def pulse(
         self, is_seen: bool = True, samples: Mapping[str, Samples] | None = None
-    ) -> dict[str, dict[str, list[float]]]:
-        """Take what is new, and return what is to be drawn of it, by node and signal."""
+    ) -> tuple[dict[str, dict[str, list[float]]], list[Mark]]:
+        """Take what is new, and return what is to be drawn: curves by node and signal, marks."""
         seen = self.controllers
         self._note_arrivals(seen)
         watched = tuple(node for node, each in seen.items() if each.is_here) if is_seen else ()
@@ -387,13 +376,15 @@ class LiveSession:
         for node, controller in seen.items():
             self.tuning.see(node, controller.values)
             self.history(node).retune(controller.settings)
+        marks = []
         for change in self.graph.changes():
             if change.node in seen:
-                self._mark(change.node, change.time, change.values)
+                marks.append(Mark(change.node, change.time, shown(change.values)))
+                self.say(f"{self.label(change.node)}: {marks[-1].text}")
         for node, each in (self.graph.take() if samples is None else samples).items():
             if node in seen:
                 self.history(node).append(each)
-        return {node: self.history(node).drawn() for node in watched}
+        return {node: self.history(node).drawn() for node in watched}, marks
 
     def _note_arrivals(self, seen: Mapping[str, Controller]) -> None:
         for node, each in seen.items():
@@ -405,14 +396,7 @@ class LiveSession:
                 self.say(f"{self.label(node)}: its controller has gone", is_bad=True)
             self._here[node] = each.is_here
 
-    def _mark(self, node: str, at: float, values: Values) -> None:
-        text = shown(values)
-        self._marked += 1
-        self.marks.append(Mark(self._marked, node, at, text))
-        self.say(f"{self.label(node)}: {text}")
-
     def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Put a line into the log."""
         self.said += 1
         self.log.append(LogLine(time.time(), text, is_bad))
 
@@ -517,7 +501,6 @@ class LiveSession:
         return dict(zip(sets, await asyncio.gather(*futures), strict=True))
 
     async def undo(self) -> bool:
-        """Take the newest step back."""
         async with self._acting:
             try:
                 sets = self.tuning.undoing()
@@ -531,23 +514,15 @@ class LiveSession:
                 return True
             return False
 
-    async def revert(self, nodes: Sequence[str]) -> bool:
-        """Set controllers back to what they were when they were first seen."""
+    async def restore(self, values: Mapping[str, Values], what: str) -> bool:
+        """Have the controllers that are here take values that they had."""
         async with self._acting:
-            return await self._send_or_say(self.tuning.reverting(nodes), "back to the start")
-
-    async def restore(self, name: str) -> bool:
-        """Set controllers to a snapshot."""
-        async with self._acting:
-            sets = self.tuning.towards(self.tuning.snapshots[name])
-            return await self._send_or_say(sets, f"snapshot {name}")
-
-    async def _send_or_say(self, sets: Mapping[str, Values], what: str) -> bool:
-        sets = {node: each for node, each in sets.items() if self._here.get(node)}
-        if not sets:
-            self.say(f"{what}: nothing differs")
-            return True
-        return await self._send(sets, what)
+            here = {node: each for node, each in values.items() if self._here.get(node)}
+            sets = self.tuning.towards(here)
+            if not sets:
+                self.say(f"{what}: nothing differs")
+                return True
+            return await self._send(sets, what)
 
     async def send_if_other(self, values: Mapping[str, Values], what: str) -> bool:
         """Have controllers take these values, where they have others."""
@@ -568,7 +543,6 @@ class LiveSession:
         return await self.transit(nodes, "deactivate") and not lost
 
     async def transit(self, nodes: Iterable[str], transition: str) -> bool:
-        """Have controllers go through a transition."""
         asked = {node: self.graph.change_state(node, transition) for node in nodes}
         futures = [asyncio.wrap_future(each) for each in asked.values()]
         answers = dict(zip(asked, await asyncio.gather(*futures), strict=True))

@@ -7,6 +7,7 @@ import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +43,6 @@ class JointNumbers(NamedTuple):
     values: Numbers
 
     def picked(self, which: slice | Integers) -> JointNumbers:
-        """Return some of them."""
         return JointNumbers(self.stamps_ns[which], self.values[which])
 
 
@@ -73,17 +73,12 @@ def _command_reader(kind: str) -> Callable[[bytes], Any]:
     return read
 
 
+@dataclass
 class ControlClock:
-    """Where the control clock of a topic of states began."""
+    """Where the control clock of a topic of states began, and how often it has."""
 
-    def __init__(self) -> None:
-        self.start_ns: int | None = None
-        self.epoch = 0
-
-    def begin(self, stamp_ns: int) -> None:
-        """Start again with a stamp."""
-        self.start_ns = stamp_ns
-        self.epoch += 1
+    start_ns: int | None = None
+    epoch: int = 0
 
 
 class JointClock:
@@ -112,11 +107,10 @@ class JointClock:
         """Take the topic's clock, and begin it again where nobody else has done so."""
         clock = self._clock
         is_first_back = self.last_ns is not None and clock.epoch == self._epoch
-        start_ns = clock.start_ns
-        if start_ns is None or is_first_back or stamp_ns < start_ns:
-            clock.begin(stamp_ns)
-            start_ns = stamp_ns
-        self._start_ns, self._epoch = start_ns, clock.epoch
+        if clock.start_ns is None or is_first_back or stamp_ns < clock.start_ns:
+            clock.start_ns = stamp_ns
+            clock.epoch += 1
+        self._start_ns, self._epoch = clock.start_ns, clock.epoch
 
     def seconds(self, stamps_ns: Integers) -> Numbers:
         """Return times since the clock began, in [s]."""
@@ -202,8 +196,6 @@ _KINDS: dict[str, Any] = {
 
 
 class Topic(NamedTuple):
-    """A topic."""
-
     name: str  # its full name
     type: str = JOINT_STATE  # one of _KINDS
     is_reliable: bool = False  # whether what was lost is sent again
@@ -370,12 +362,10 @@ class Watching:
         return before is not None and before[:2] == topics[:2]  # joint and states
 
     def listens_to(self, topic: Topic) -> bool:
-        """Return whether a topic is subscribed to."""
         with self._lock:
             return topic in self._streams
 
     def take(self) -> dict[str, Samples]:
-        """Return what came since the last call, by node."""
         with self._lock:
             # What answers a state is taken before the states: so the state is there, too.
             found: dict[Topic | None, list[Any]] = {None: []}
@@ -404,7 +394,6 @@ class Watching:
             return clock.now(stamp_ns) if stamp_ns >= clock.last_ns else math.nan
 
     def close(self) -> None:
-        """Take no more."""
         self.watch({})
         self._node.destroy_node()
 

@@ -65,7 +65,6 @@ class Tried:
         }
 
     def note(self, values: Mapping[str, Values]) -> None:
-        """Take note of what was set."""
         for node, each in values.items():
             self._set[node] |= each
 
@@ -88,13 +87,11 @@ class TrialResult:
     variants: tuple[Variant, ...]  # in their order
     runs: tuple[Measured, ...]  # of each
     comparison: Comparison  # of all, ratios to the first
-    bags: tuple[Path, ...]  # their recordings
 
     @classmethod
     def of(cls, variants: Sequence[Variant], runs: Sequence[Measured]) -> TrialResult:
         """Compare the motions that came to their ends, the first so many of the variants."""
-        tried = tuple(variants)[: len(runs)]
-        return cls(tried, tuple(runs), compare(runs), tuple(each.path for each in runs))
+        return cls(tuple(variants)[: len(runs)], tuple(runs), compare(runs))
 
 
 def measure_motion(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
@@ -182,7 +179,6 @@ class Trials:
 
     @property
     def stage(self) -> Stage:
-        """How far it is."""
         is_ending = self._end and self._stage is not Stage.IDLE
         return Stage.ENDING if is_ending else self._stage
 
@@ -193,7 +189,6 @@ class Trials:
         return max(self._ends_at - time.monotonic(), 0.0) if is_moving else None
 
     def plan(self, nodes: Sequence[str], wish: MotionWish) -> ExcitationPlan:
-        """Return the motion of joints, within their limits."""
         return self._planned(nodes, wish)[0]
 
     def _planned(
@@ -402,7 +397,6 @@ class Trials:
     async def _ending(
         self, motion: HeldMotion, nodes: Sequence[str], label: str, duration: float
     ) -> Ending:
-        """Wait for a motion's end."""
         self._motion, self._stage, self._is_released = motion, Stage.PREPARING, False
         self._say(f"{label}: preparing")
         while motion.stage != "ended":
@@ -427,7 +421,6 @@ class Trials:
         return ending
 
     def _explain(self, ending: Ending, label: str) -> None:
-        """Say why a motion was stopped."""
         rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
         if self._end:
             raise RunError(f"{self._end}{rest}")

@@ -65,7 +65,6 @@ class Knob:
         self._field.on("update:model-value", self._on_type)
 
     def show_interval(self, advice: Advice | None, *, is_current: bool) -> None:
-        """Draw the certified degrees."""
         if is_current:
             low, high = (advice.interval if advice is not None else None) or (0.0, 0.0)
             begin, end = (100.0 * (each + 0.5) for each in (low, high))
@@ -144,18 +143,10 @@ class Knob:
             self._stage(value)
 
     def _stage(self, value: float) -> None:
-        if not self._viewer.may_edit:
-            return
-        self._edited_at = time.monotonic()
-        nodes, tuning = self._viewer.chosen(), self._tuning
-        try:
-            if self._is_factor:
-                tuning.stage_factor(nodes, self.name, value)
-            else:
-                tuning.stage(nodes, self.name, value)
-        except HpidError as error:
-            ui.notify(str(error), type="negative")
-        self._edited()
+        if self._viewer.may_edit:
+            self._edited_at = time.monotonic()
+            self._viewer.stage(self.name, value, is_factor=self._is_factor)
+            self._edited()
 
 
 _APART = {*SLIDERS, "joint", "law"}  # with controls of their own, or not to be changed
@@ -206,14 +197,9 @@ class AllParameters:
             field.hpid_row.set_visibility(wanted in text)
 
     def _stage(self, name: str, value: object) -> None:
-        nodes = self._viewer.chosen()
-        if value in (None, self._known.get(name)) or not nodes or not self._viewer.may_edit:
-            return
-        try:
-            self._tuning.stage(nodes, name, value)
-        except HpidError as error:
-            ui.notify(str(error), type="negative")
-        self._edited()
+        if value not in (None, self._known.get(name)):
+            self._viewer.stage(name, value)
+            self._edited()
 
     def refresh(self) -> None:
         """Show what is chosen; of several joints what the first one has."""
@@ -260,7 +246,6 @@ class SnapshotPanel:
             ).props('flat bordered accept=".yaml,.yml" aria-label="load a parameter file"')
 
     def refresh(self) -> None:
-        """Show the snapshots that there are."""
         self._keep.set_enabled(self._viewer.may_edit)
         self._upload.set_enabled(self._viewer.may_edit)
         snapshots = self._session.tuning.snapshots
@@ -270,7 +255,7 @@ class SnapshotPanel:
         self._list.clear()
         with self._list:
             for name, values in snapshots.items():
-                restore = partial(self._session.restore, name)
+                restore = partial(self._on_restore, name)
                 with ui.element("li"):
                     ui.label(f"{name} ({len(values)} joints)")
                     act = self._viewer.acting(restore, self.refresh)
@@ -285,6 +270,10 @@ class SnapshotPanel:
             return
         self._session.say(f"snapshot {name} of {len(nodes)} joints")
         self._name.value = ""
+
+    async def _on_restore(self, name: str) -> None:
+        values = self._session.tuning.snapshots[name]
+        await self._session.restore(values, f"snapshot {name}")
 
     def _on_save(self) -> None:
         ui.download.content(self._session.document(), "controllers.yaml", "text/yaml")
@@ -344,7 +333,8 @@ class TuningPanel:
             keys = 'flat data-act="undo" aria-keyshortcuts="Control+Z"'
             self._undo = self._button("Undo", session.undo, keys)
             self._revert = self._button(
-                "Back to start", lambda: session.revert(self._viewer.chosen())
+                "Back to start",
+                lambda: session.restore(tuning.starts(self._viewer.chosen()), "back to the start"),
             )
         self._staged = ui.label().classes("staged")
         self._response_of = ui.label().classes("hint")
@@ -355,7 +345,6 @@ class TuningPanel:
         return button(text, self._viewer.acting(act, self.refresh), look)
 
     def refresh(self) -> None:
-        """Show what is known now."""
         nodes = self._viewer.chosen()
         self._of.set_text(self._title(nodes))
         for knob in self._knobs.values():
@@ -380,8 +369,8 @@ class TuningPanel:
     def _on_law(self, event: Any) -> None:
         nodes, tuning = self._viewer.chosen(), self._session.tuning
         is_other = any(tuning.value(node, "law") != event.value for node in nodes)
-        if is_other and event.value is not None and self._viewer.may_edit:
-            tuning.stage(nodes, "law", event.value)
+        if is_other and event.value is not None:
+            self._viewer.stage("law", event.value)
             self.refresh()
 
     def _refresh_advice(self, nodes: Sequence[str]) -> None:
@@ -427,7 +416,7 @@ class TuningPanel:
         self._apply.set_enabled(may and bool(staged) and not objections)
         self._discard.set_enabled(may and bool(staged))
         self._undo.set_enabled(may and bool(tuning.done))
-        self._revert.set_enabled(may and bool(tuning.reverting(nodes)))
+        self._revert.set_enabled(may and bool(tuning.towards(tuning.starts(nodes))))
         parts = [f"{session.label(node)}: {shown(values)}" for node, values in staged.items()]
         self._staged.set_text(f"chosen, not sent: {'; '.join(parts)}" if parts else "")
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from nicegui import ui
 
+from hpid_ros.base.errors import HpidError
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import Trials
 
@@ -31,6 +32,16 @@ class Viewer:
     @property
     def may_edit(self) -> bool:
         return self.session.control_lock.holder == self.page
+
+    def stage(self, name: str, value: Any, *, is_factor: bool = False) -> None:
+        """Choose a value, or times what is active, for the joints that are chosen."""
+        if not self.may_edit:
+            return
+        tuning = self.session.tuning
+        try:
+            (tuning.stage_factor if is_factor else tuning.stage)(self.chosen(), name, value)
+        except HpidError as error:
+            ui.notify(str(error), type="negative")
 
     def acting(self, act: Callable[[], object], then: Callable[[], None]) -> Callable[[], Any]:
         """Return a handler that does something, and then something else, with control alone."""
@@ -55,7 +66,6 @@ def mark(element: Any, name: str, *, is_on: bool) -> None:
 
 
 def table(heads: Sequence[str], tips: dict[str, str]) -> tuple[Any, Any]:
-    """Return a table with a head, and its body."""
     with ui.element("table").classes("joints") as made:
         with ui.element("thead"), ui.element("tr"):
             for text in heads:
@@ -88,7 +98,6 @@ def chart_options(
 
 
 def curve(name: str, points: Sequence[Sequence[float]], colour: str) -> dict[str, Any]:
-    """Return one curve of a chart, by its points."""
     return {
         "name": name,
         "type": "line",

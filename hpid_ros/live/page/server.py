@@ -36,7 +36,7 @@ from hpid_ros.live.advice import AdviceClient
 from hpid_ros.live.motion import HELD_WITHIN, HeldMotion
 from hpid_ros.live.page.view import PageView
 from hpid_ros.live.session import LiveSession, Mark
-from hpid_ros.live.trials import Stage, Starter, Trials
+from hpid_ros.live.trials import Stage, Trials
 
 if TYPE_CHECKING:
     from hpid_ros.live.graph_client import GraphClient
@@ -108,7 +108,6 @@ class Guard:
         return hmac.compare_digest(text.encode(), self._token.encode())
 
     async def __call__(self, scope: Scope, receive: Callable[..., Any], send: Send) -> None:
-        """Answer one request."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -140,8 +139,6 @@ class Guard:
 
 
 def _hardened(path: str, send: Send) -> Send:
-    """Return a send that adds headers for browsers."""
-
     async def sent(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
             extra = [*_HEADERS]
@@ -171,7 +168,6 @@ class PageServer:
         token: str = "",  # empty draws one
         rate: float = 30.0,  # frames a second
         button_timeout: float = HELD_WITHIN,  # [s] without a word of a button that is held
-        start: Starter | None = None,
     ) -> None:
         is_own = host in LOOPBACK
         if token:
@@ -186,8 +182,8 @@ class PageServer:
         token = token or secrets.token_urlsafe(24)
         self._advice = AdviceClient()
         session = LiveSession(graph, self._advice)
-        starter = start or partial(HeldMotion, within=button_timeout)
-        self._trials = trials = Trials(session, starter, button_timeout)
+        start = partial(HeldMotion, within=button_timeout)
+        self._trials = trials = Trials(session, start, button_timeout)
         api = _api(trials, Frames(session, trials, 1.0 / rate))
         pages.add_static_files("/assets", str(_ASSETS))
         ui.run_with(
@@ -228,7 +224,6 @@ class PageServer:
 
     @property
     def is_trying(self) -> bool:
-        """Whether a trial is under way."""
         return self._trials.stage is not Stage.IDLE
 
     def cancel(self) -> None:
@@ -286,25 +281,22 @@ class Frames:
         self._viewers: dict[asyncio.Queue[str], str] = {}
 
     async def run(self) -> None:
-        """Send frames, for ever."""
-        marked = 0
         while True:
             began = asyncio.get_running_loop().time()
             # Beside this loop, so that a button that is held is heard meanwhile.
             samples = await asyncio.to_thread(self._session.graph.take)
-            curves = self._session.pulse(bool(self._viewers), samples)
-            fresh = [each for each in self._session.marks if each.number > marked]
-            marked = fresh[-1].number if fresh else marked
+            curves, marks = self._session.pulse(bool(self._viewers), samples)
             if self._viewers:
-                self._tell(curves, [_plain(each) for each in fresh])
+                self._tell(curves, marks)
             period = self._period if self._viewers else _IDLE_PERIOD
             spent = asyncio.get_running_loop().time() - began
             await asyncio.sleep(max(period - spent, 0.2 * period))
 
-    def _tell(self, curves: dict[str, dict[str, list[float]]], marks: list[Any]) -> None:
+    def _tell(self, curves: dict[str, dict[str, list[float]]], marks: list[Mark]) -> None:
         now = {node: self._session.history(node).now for node in curves}
         usable = {node: at for node, at in now.items() if at > float("-inf")}
-        text = json.dumps({"now": usable, "curves": curves, "marks": marks})
+        timed = [each._asdict() for each in marks if math.isfinite(each.time)]
+        text = json.dumps({"now": usable, "curves": curves, "marks": timed})
         for queue in list(self._viewers):
             try:
                 queue.put_nowait(text)
@@ -346,8 +338,3 @@ class Frames:
                 await socket.close()
                 return
             await socket.send_text(text)
-
-
-def _plain(mark: Mark) -> dict[str, Any]:
-    time = mark.time if math.isfinite(mark.time) else None
-    return {**mark._asdict(), "time": time}

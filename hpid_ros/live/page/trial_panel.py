@@ -66,7 +66,6 @@ class TrialPanel:
         )
 
     def refresh(self) -> None:
-        """Show what is known now."""
         stage, may = self._trials.stage, self._viewer.may_edit
         is_idle = stage is Stage.IDLE
         self._offer()
@@ -175,9 +174,9 @@ class TrialPanel:
                 for variant in result.variants if len(labels) > 1 else ():
                     keep = self._viewer.acting(partial(self._keep, variant), self.refresh)
                     button(f"keep {variant.label}", keep, "unelevated size=sm")
-            for bag in result.bags:
-                if bag.exists():
-                    ui.label(f"hpid metrics {bag}").classes("command")
+            for run in result.runs:
+                if run.path.exists():
+                    ui.label(f"hpid metrics {run.path}").classes("command")
 
     async def _keep(self, variant: Variant) -> None:
         if self._trials.stage is Stage.IDLE:

@@ -56,7 +56,6 @@ class JointTable:
         return {node: row.colour for node, row in self._rows.items()}
 
     def refresh(self) -> None:
-        """Show what is known now."""
         seen = self._viewer.session.controllers
         for node in seen:
             if node not in self._rows:
@@ -72,7 +71,6 @@ class JointTable:
             row.refresh(self._window())
 
     def choose(self, *, is_all: bool) -> None:
-        """Choose all controllers, or none."""
         for row in self._rows.values():
             row.box.value = is_all
 

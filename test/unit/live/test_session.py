@@ -130,8 +130,8 @@ def test_samples_of_before_nobody_looked_are_not_mixed_with_those_of_now(session
 def test_a_change_by_anybody_is_marked_and_who_is_there_is_stopped(session, graph):
     graph.set(NODES[0], {"mu": 0.1})
     graph.gone.add(NODES[2])
-    session.pulse()
-    assert session.marks[-1][1::2] == (NODES[0], "mu 0.1")
+    _, (mark,) = session.pulse()
+    assert (mark.node, mark.text) == (NODES[0], "mu 0.1")
     assert session.tuning.in_force[NODES[0]]["mu"] == 0.1
     assert "arm_joint_3: its controller has gone" in lines(session)
     assert not asyncio.run(session.stop())  # it may still drive its joint

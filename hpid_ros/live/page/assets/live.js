@@ -318,7 +318,7 @@ class LivePage {
     for (const mark of this.marks) {
       const now = this.curves.now.get(mark.node);
       const isShown = this.shown.some((joint) => joint.node === mark.node);
-      if (isShown && now !== undefined && mark.time !== null && mark.time > now - this.seconds) {
+      if (isShown && now !== undefined && mark.time > now - this.seconds) {
         data.push({ xAxis: mark.time - now, name: mark.text });
       }
     }
