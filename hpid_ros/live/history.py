@@ -114,8 +114,9 @@ class JointHistory:
     def _tune(self, settings: LoopSettings) -> None:
         self._settings, self._norm = settings, make_norm(settings)
         law = make_law(settings)
-        is_linear = not isinstance(law, HomogeneousPid)
-        self._limits = None if is_linear else (law.norm_floor, law.norm_cap)
+        self._limits: tuple[float, float] | None = None
+        if isinstance(law, HomogeneousPid):
+            self._limits = law.norm_floor, law.norm_cap
 
     @property
     def now(self) -> float:

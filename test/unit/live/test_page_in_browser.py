@@ -3,63 +3,44 @@
 Needs Chromium (Debian: ``apt install chromium``) and playwright from PyPI; skipped without them.
 """
 
-import json
-import os
 import queue
 import re
-import subprocess
-import sys
-import threading
-from pathlib import Path
-from urllib.error import HTTPError
-from urllib.request import Request, urlopen
 
 import pytest
 from harness.browser import launched
+from harness.simulated_graph import SimulatedGraph, arm
+
+from hpid_ros.live.page.server import PageServer
 
 pytestmark = pytest.mark.slow
 
-TESTS = Path(__file__).parents[2]
 LATE = 60_000  # [ms]
 NODES = [f"/arm_joint_{number}_controller" for number in (1, 2, 3)]
 
 
-class Server:
-    """The page in a process of its own, and what has reached its graph."""
+class ServedGraph(SimulatedGraph):
+    """A simulated graph with its page, and what has reached it."""
 
     def __init__(self):
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "harness.live_server"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
+        super().__init__(arm())
         self.told = queue.Queue()
-        threading.Thread(target=self._read, daemon=True).start()
-        self.url = self.told.get(timeout=60)["url"]
+        self.page = PageServer(self, port=0)
+        self.url = self.page.url
         self.root = self.url.partition("?")[0]
 
-    def _read(self):
-        for line in self.process.stdout:
-            self.told.put(json.loads(line))
+    def set(self, node, values):
+        self.told.put((node, dict(values)))
+        return super().set(node, values)
 
-    def order(self, **what):
-        self.process.stdin.write(json.dumps(what) + "\n")
-        self.process.stdin.flush()
+    def change_state(self, node, transition):
+        self.told.put((node, transition))
+        return super().change_state(node, transition)
 
-    def next(self):
-        return self.told.get(timeout=LATE / 1000)
+    def next(self, count=1):
+        return [self.told.get(timeout=LATE / 1000) for _ in range(count)]
 
     def nothing_more(self):
         return self.told.empty()
-
-    def end(self):
-        self.process.kill()
-        self.process.wait()
-        self.process.stdin.close()
-        self.process.stdout.close()
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +53,9 @@ def context():
 
 @pytest.fixture(scope="module")
 def shared():
-    server = Server()
-    yield server
-    server.end()
+    graph = ServedGraph()
+    yield graph
+    graph.page.stop()
 
 
 @pytest.fixture
@@ -148,14 +129,13 @@ def test_one_joint_is_retuned_and_the_step_is_undone(open_page, server):
     type_into(page, "proportional gain", 96)
     assert server.nothing_more()
     apply(page)
-    assert server.next() == {"set": [NODES[0], {"gains.p": 96.0}]}
+    assert server.next() == [(NODES[0], {"gains.p": 96.0})]
     page.keyboard.press("Tab")
     page.get_by_role("button", name="Undo").click()
-    assert server.next() == {"set": [NODES[0], {"gains.p": 80.0}]}
+    assert server.next() == [(NODES[0], {"gains.p": 80.0})]
     type_into(page, "bandwidth", 2)
     apply(page)
-    faster = {"gains.p": 320.0, "gains.i": 1600.0, "gains.d": 16.0}
-    assert server.next() == {"set": [NODES[0], faster]}
+    assert server.next() == [(NODES[0], {"gains.p": 320.0, "gains.i": 1600.0, "gains.d": 16.0})]
 
 
 def test_three_joints_at_once_and_one_that_refuses(open_page, server):
@@ -163,18 +143,17 @@ def test_three_joints_at_once_and_one_that_refuses(open_page, server):
     choose(page, 1, 2, 3)
     type_into(page, "homogeneity degree", -0.3)
     apply(page)
-    assert [server.next()["set"] for _ in NODES] == [[node, {"mu": -0.3}] for node in NODES]
+    assert server.next(3) == [(node, {"mu": -0.3}) for node in NODES]
     page.get_by_text(re.compile("chosen, not sent")).wait_for(state="hidden")
-    server.order(refuse=[NODES[1], "mu = -0.4 is not certified stable; certified degrees: none"])
+    server.refusals[NODES[1]] = "mu = -0.4 is not certified stable; certified degrees: none"
     type_into(page, "homogeneity degree", -0.4)
     apply(page)
-    sets = [server.next()["set"] for _ in range(5)]
-    assert sets[3:] == [[NODES[0], {"mu": -0.3}], [NODES[2], {"mu": -0.3}]]
+    assert server.next(5)[3:] == [(NODES[0], {"mu": -0.3}), (NODES[2], {"mu": -0.3})]
     logged(page, "arm_joint_2 refused: mu = -0.4 is not certified stable")
-    server.order(refuse=[NODES[1], ""])
+    server.refusals.clear()
     discard(page)
     page.get_by_role("button", name="Undo").click()
-    assert [server.next()["set"][1] for _ in NODES] == [{"mu": -0.2}] * 3
+    assert server.next(3) == [(node, {"mu": -0.2}) for node in NODES]
 
 
 def test_snapshots_and_files_are_kept_and_come_back_to(open_page, server, tmp_path):
@@ -186,10 +165,10 @@ def test_snapshots_and_files_are_kept_and_come_back_to(open_page, server, tmp_pa
     choose(page, 2)
     type_into(page, "integral gain", 50)
     apply(page)
-    assert server.next() == {"set": [NODES[1], {"gains.i": 50.0}]}
+    assert server.next() == [(NODES[1], {"gains.i": 50.0})]
     page.get_by_role("tab", name="Save").click()
     page.get_by_role("button", name="go back to it").first.click()
-    assert server.next() == {"set": [NODES[1], {"gains.i": 100.0}]}
+    assert server.next() == [(NODES[1], {"gains.i": 100.0})]
     with page.expect_download() as download:
         page.get_by_role("button", name="Save controllers.yaml").click()
     saved = tmp_path / "controllers.yaml"
@@ -211,20 +190,10 @@ def activate(page, server):
     page.get_by_text("inactive").first.wait_for()
     for number, node in enumerate(NODES, 1):
         page.get_by_role("button", name=f"activate arm_joint_{number}", exact=True).click()
-        assert server.next() == {"transition": [node, "activate"]}
+        assert server.next() == [(node, "activate")]
 
 
-def test_escape_stops_every_controller_also_out_of_a_field(open_page, server):
-    page = open_page()
-    choose(page, 1)
-    page.get_by_role("spinbutton", name=re.compile("derivative")).click()
-    page.keyboard.press("Escape")
-    stopped = sorted(server.next()["transition"] for _ in NODES)
-    assert stopped == [[node, "deactivate"] for node in NODES]
-    activate(page, server)
-
-
-def test_a_second_page_looks_on_until_its_person_takes_control_but_may_stop(open_page, server):
+def test_a_page_looks_on_until_its_person_takes_control_and_all_stop_by_escape(open_page, server):
     first = open_page()
     choose(first, 1)
     second = open_page(server.root)
@@ -238,9 +207,11 @@ def test_a_second_page_looks_on_until_its_person_takes_control_but_may_stop(open
     first.keyboard.press("Control+Enter")  # its button is off now
     discard(second)
     assert server.nothing_more()
-    first.keyboard.press("Escape")
-    assert [server.next()["transition"][1] for _ in NODES] == ["deactivate"] * 3
-    activate(second, server)
+    second.get_by_role("spinbutton", name=re.compile("derivative")).click()  # also out of a field
+    for page in (first, second):
+        page.keyboard.press("Escape")
+        assert sorted(server.next(3)) == [(node, "deactivate") for node in NODES]
+        activate(second, server)
 
 
 def test_a_page_that_is_closed_in_the_middle_of_a_drag_changes_nothing(open_page, server):
@@ -276,18 +247,14 @@ def test_curves_are_drawn_from_frames_and_each_change_is_marked(open_page, serve
     assert page.evaluate("document.documentElement.scrollWidth") <= 800
     type_into(page, "homogeneity degree", -0.25)
     apply(page)
-    assert [server.next()["set"][1] for _ in range(2)] == [{"mu": -0.25}] * 2
+    assert server.next(2) == [(node, {"mu": -0.25}) for node in NODES[:2]]
     page.wait_for_function(
         """() => window.hpidLive.charts.get("error").getOption().series[0].markLine.data
             .some((each) => each.name === "mu -0.25")"""
     )
 
 
-def test_without_the_token_or_from_another_page_nothing_is_to_be_had(context, server):
-    for headers in ({}, {"Cookie": "hpid_live_1=x"}, {"Origin": "http://evil.example"}):
-        with pytest.raises(HTTPError) as refused:
-            urlopen(Request(server.root, headers=headers))
-        assert refused.value.code in (401, 403)
+def test_from_another_page_nothing_is_to_be_had(context, server):
     other = context.new_page()
     other.goto(server.url)  # this browser has the cookie now
     other.goto("data:text/html,<p>another page</p>")
@@ -317,6 +284,9 @@ def test_the_button_is_held_by_the_first_button_alone_and_never_after_it(open_pa
     """A menu that a press opens takes the release away."""
     page = open_page()
     page.wait_for_function("window.hpidLive.frames > 5")
+    # A page that NiceGUI has connected again is the same page.
+    page.evaluate("window.firstSocket = window.hpidLive.socket; window.hpidLive.start('again')")
+    assert page.evaluate("window.firstSocket === window.hpidLive.socket")
     held = page.evaluate(
         """() => {
             const live = window.hpidLive;
@@ -349,17 +319,10 @@ def test_the_button_is_held_by_the_first_button_alone_and_never_after_it(open_pa
     assert held == [False, False, True, True, True, True, False, True, True, False, True]
 
 
-def test_a_page_that_connects_again_is_the_same_page(open_page):
-    page = open_page()
-    page.wait_for_function("window.hpidLive.frames > 5")
-    page.evaluate("window.firstSocket = window.hpidLive.socket; window.hpidLive.start('again')")
-    assert page.evaluate("window.firstSocket === window.hpidLive.socket")
-
-
 def test_when_the_server_is_gone_the_page_says_so(context, server):
     page = context.new_page()
     page.goto(server.url)
     page.wait_for_function("window.hpidLive.frames > 5")
     assert not page.locator(".lost-banner").is_visible()
-    server.end()  # the last test of this file
+    server.page.stop()  # the last test of this file
     page.locator(".lost-banner").wait_for(state="visible")
