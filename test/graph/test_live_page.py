@@ -167,21 +167,6 @@ def hold_until(page, label, stage):
         page.mouse.up()
 
 
-def test_what_is_not_certified_is_refused_in_the_nodes_words_and_stays_chosen(harness, page):
-    type_into(page, "integral gain", 600)
-    page.get_by_role("button", name="hPID").click()
-    type_into(page, "homogeneity degree", 0.49)
-    page.get_by_text("is NOT certified").wait_for()
-    apply = page.get_by_role("button", name="Apply", exact=True)
-    verdict = page.get_by_text("turn refused: mu = 0.49 is not certified stable")
-    harness.wait(  # at first it is not computed yet
-        lambda: apply.click() or verdict.count(), within=LATE / 1e3, what="the verdict"
-    )
-    page.get_by_text("chosen, not sent").wait_for()
-    page.get_by_role("button", name="Discard").click()
-    page.get_by_text("chosen, not sent").wait_for(state="hidden")
-
-
 def test_a_page_that_is_ended_during_a_trial_sets_back_what_was_tried(harness, tuner, page):
     before = GAINS["gains__p"]
     type_into(page, "proportional gain", before + 5.0)

@@ -2,24 +2,26 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 
 import numpy as np
 
-from hpid_ros.base.errors import HpidError, RunError
+from hpid_ros.base.errors import HpidError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.live.controllers import Answer, Change, Controller, Health, Samples
+from hpid_ros.live.controllers import Answer, Change, Controller, Health, RunningGraph, Samples
 from hpid_ros.robot.description import UNLIMITED
 
 PERIOD_NS = 1_000_000
 _OF_NODE = {
     **{name: each.default for name, each in PARAMETERS.items()},
-    **{"robot_description": "", "introspection_rate": 20.0},
+    **{"robot_description": "", "introspection_rate": 20.0, "require_certificate": False},
 }
 _LONGEST = 2.0  # [s] that is caught up at once
+_STEP, _EVERY = 0.1, 2.0  # [rad, s] of the reference
 
 
 class SimulatedJoint:
@@ -32,7 +34,7 @@ class SimulatedJoint:
         self.is_active = True
         self.stamp_ns = 0
 
-    def run(self, until_ns: int, step: float, every: float) -> Samples:
+    def run(self, until_ns: int) -> Samples:
         """Go on to a time, and return what was seen on the way."""
         states, efforts, references = [], [], []
         while self.stamp_ns < until_ns:
@@ -40,9 +42,9 @@ class SimulatedJoint:
             at = self.stamp_ns * 1e-9
             effort = 0.0
             if self.is_active:
-                if self.stamp_ns % round(every * 1e9) == 0:
-                    is_up = round(at / every) % 2
-                    self.loop.follow(Setpoint(step * is_up))
+                if self.stamp_ns % round(_EVERY * 1e9) == 0:
+                    is_up = round(at / _EVERY) % 2
+                    self.loop.follow(Setpoint(_STEP * is_up))
                 effort = self.loop.step(self.stamp_ns, self.position, self.velocity)
                 efforts.append((at, effort))
                 if self.stamp_ns % 50_000_000 == 0:
@@ -78,14 +80,12 @@ def loop_settings(joint: str, inertia: float = 0.5, **more: object) -> LoopSetti
 class SimulatedGraph:
     """A :class:`~hpid_ros.live.graph_client.GraphClient` of such joints, by the wall clock."""
 
-    def __init__(self, joints: Mapping[str, LoopSettings], step: float = 0.1) -> None:
+    def __init__(self, joints: Mapping[str, LoopSettings]) -> None:
         self.joints = {node: SimulatedJoint(each) for node, each in joints.items()}
-        self.certified = False
         self.gone: set[str] = set()
         self.sets: list[tuple[str, dict[str, object]]] = []
         self.transitions: list[tuple[str, str]] = []
         self.refusals: dict[str, str] = {}
-        self.step, self.every = step, 2.0
         self._watched: tuple[str, ...] = ()
         self._changes: list[Change] = []
         self._began = time.monotonic()
@@ -94,8 +94,7 @@ class SimulatedGraph:
         return {
             node: Controller(
                 node,
-                {**_OF_NODE, **joint.settings.to_parameters()}
-                | {"require_certificate": self.certified},
+                {**_OF_NODE, **joint.settings.to_parameters()},
                 joint.settings,
                 UNLIMITED,
                 "active" if joint.is_active else "inactive",
@@ -117,7 +116,7 @@ class SimulatedGraph:
             joint.stamp_ns, now_ns - round(_LONGEST * 1e9) // PERIOD_NS * PERIOD_NS
         )
         joint.stamp_ns -= joint.stamp_ns % PERIOD_NS
-        return joint.run(now_ns, self.step, self.every)
+        return joint.run(now_ns)
 
     def changes(self) -> list[Change]:
         found, self._changes = self._changes, []
@@ -145,8 +144,13 @@ class SimulatedGraph:
             joint.loop.release()
         return _done(Answer(True))
 
-    def running(self, nodes, state_of):  # type: ignore[no-untyped-def]
-        raise RunError("joints of this graph are not moved")
+    def running(self, nodes: Sequence[str], state_of: Callable) -> RunningGraph:
+        seen = self.controllers()
+        states = [(seen[node], *state_of(node)) for node in nodes]
+        return RunningGraph.of(
+            [replace(each, position=at, effort=effort) for each, at, effort in states],
+            has_commands=True,
+        )
 
     def states_topic(self, node: str) -> str:
         return "/joint_states"

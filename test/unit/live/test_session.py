@@ -15,13 +15,6 @@ from hpid_ros.live.session import ControlLock, Limit, LiveSession
 NODES = sorted(arm())
 
 
-class Unasked:
-    """Advice that nobody needs."""
-
-    def ask(self, *_):
-        pass
-
-
 @pytest.fixture
 def graph():
     return SimulatedGraph(arm())
@@ -29,7 +22,7 @@ def graph():
 
 @pytest.fixture
 def session(graph):
-    made = LiveSession(graph, Unasked())
+    made = LiveSession(graph, None)
     made.pulse()
     return made
 
@@ -190,7 +183,7 @@ class SlowGraph(SimulatedGraph):
 
 @pytest.fixture
 def slow():
-    made = LiveSession(SlowGraph(arm()), Unasked())
+    made = LiveSession(SlowGraph(arm()), None)
     made.pulse()
     return made
 

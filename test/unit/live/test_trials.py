@@ -2,14 +2,12 @@
 
 import asyncio
 import threading
-from dataclasses import replace
 
 import pytest
 from harness.simulated_graph import SimulatedGraph, arm
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.live import trials as module
-from hpid_ros.live.controllers import RunningGraph
 from hpid_ros.live.motion import RELEASED, Ending
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import MotionWish, Stage, Trials, Tried, Variant
@@ -17,16 +15,6 @@ from hpid_ros.live.trials import MotionWish, Stage, Trials, Tried, Variant
 NODE, OTHER, *_ = arm()
 PAGE = "page"
 IN_FORCE, CHOSEN = Variant("in force"), Variant("chosen", {NODE: {"gains.p": 99.0}})
-
-
-class MovedGraph(SimulatedGraph):
-    def running(self, nodes, state_of):
-        seen = self.controllers()
-        states = [(seen[node], *state_of(node)) for node in nodes]
-        return RunningGraph.of(
-            [replace(each, position=at, effort=effort) for each, at, effort in states],
-            has_commands=True,
-        )
 
 
 class Motion:
@@ -61,10 +49,11 @@ class Bench:
     """Trials of one joint, and the motions that were begun."""
 
     def __init__(self, reason=None, motion=Motion):
-        self.graph = MovedGraph(arm())
-        self.session = LiveSession(self.graph, Unasked())
+        self.graph = SimulatedGraph(arm())
+        self.session = LiveSession(self.graph, None)
         self.session.pulse()
         self.session.control_lock.join(PAGE)
+        self.before = self.gain
         self.motions = []
         self.trials = Trials(self.session, self._start, 0.4)
         self._reason, self._motion = reason, motion
@@ -84,13 +73,41 @@ class Bench:
         assert self.trials.stage is Stage.IDLE
         return self.trials.said
 
+    @property
+    def gain(self):
+        return self.graph.joints[NODE].settings.gains.p
+
+    async def move(self, motion=1):
+        """Press the button of a motion that becomes ready."""
+        await self.reach(Stage.READY, motion)
+        self.trials.release(PAGE)  # of the motion before
+        self.trials.press(PAGE)
+        await self.reach(Stage.MOVING, motion)
+
+    async def hold(self, motions=1):
+        """Hold the button of each motion until it ends."""
+        for motion in range(1, motions + 1):
+            await self.move(motion)
+            self.trials.press(PAGE)
+
     async def reach(self, stage, motions=1):
         while self.trials.stage is not stage or len(self.motions) < motions:
             await asyncio.sleep(0.01)
 
 
-class Unasked:
-    """Advice that nobody asks for."""
+@pytest.fixture
+def measuring(monkeypatch):
+    """Return a function that says what is done in the place of measuring, and of comparing."""
+
+    def put(measure=lambda *_: None, compare=lambda *_: None):
+        def compared(*given):
+            compare(*given)
+            return "what was found"
+
+        monkeypatch.setattr(module, "measure_motion", measure)
+        monkeypatch.setattr(module.TrialResult, "of", compared)
+
+    return put
 
 
 @pytest.mark.parametrize(
@@ -102,49 +119,31 @@ def test_a_trial_that_is_cancelled_sets_back_and_does_not_become_ready(variants,
         await bench.reach(stage, motions)
         assert len(bench.motions) == motions
         if motions:
-            assert bench.graph.joints[NODE].settings.gains.p == 99.0
+            assert bench.gain == 99.0
             assert bench.trials.unfinished() == [bench.session.label(NODE)]
         bench.trials.cancel()
 
     bench = Bench()
-    before = bench.graph.joints[NODE].settings.gains.p
-    assert bench.trials.unfinished() == []
     assert bench.run(cancel, variants) == "cancelled"
     assert bench.trials.unfinished() == []
-    assert bench.graph.joints[NODE].settings.gains.p == before
+    assert bench.gain == bench.before
     called = any("hold the button" in each.text for each in bench.session.log)
     assert called == (stage is Stage.READY)
 
 
-@pytest.mark.parametrize("place", ["measure_motion", "TrialResult.of"])
-def test_a_trial_that_is_cancelled_while_its_last_motion_is_measured_sets_back(place, monkeypatch):
+@pytest.mark.parametrize("place", ["measure", "compare"])
+def test_a_trial_that_is_cancelled_while_its_last_motion_is_measured_sets_back(place, measuring):
     bench = Bench("")  # a motion that is pressed twice comes to its end
-    before = bench.graph.joints[NODE].settings.gains.p
     in_force = Variant("in force", {NODE: bench.graph.joints[NODE].settings.to_parameters()})
 
-    def measured(*_):
-        if place == "measure_motion" and len(bench.motions) == 2:
+    def cancel(*_):
+        if len(bench.motions) == 2:
             bench.trials.cancel()
 
-    def result(*_):
-        if place == "TrialResult.of":
-            bench.trials.cancel()
-        return "what was found"
-
-    monkeypatch.setattr(module, "measure_motion", measured)
-    monkeypatch.setattr(module.TrialResult, "of", result)
-
-    async def hold(bench):
-        for motion in (1, 2):
-            await bench.reach(Stage.READY, motion)
-            bench.trials.release(PAGE)  # of the motion before
-            bench.trials.press(PAGE)
-            await bench.reach(Stage.MOVING, motion)
-            bench.trials.press(PAGE)
-
-    assert bench.run(hold, (in_force, CHOSEN)) == "cancelled"
+    measuring(**{place: cancel})
+    assert bench.run(lambda bench: bench.hold(2), (in_force, CHOSEN)) == "cancelled"
     assert bench.trials.result == "what was found"
-    assert bench.graph.joints[NODE].settings.gains.p == before
+    assert bench.gain == bench.before
 
 
 def take_control(bench):
@@ -154,10 +153,9 @@ def take_control(bench):
 
 @pytest.mark.parametrize("motion", [1, 2])
 def test_a_page_that_loses_control_while_a_motion_is_measured_has_nothing_more_set(
-    motion, monkeypatch
+    motion, measuring, monkeypatch
 ):
     bench = Bench("")
-    before = bench.graph.joints[NODE].settings.gains.p
     cancel, is_cancelled = bench.trials.cancel, threading.Event()
 
     def noted(*why):
@@ -170,23 +168,13 @@ def test_a_page_that_loses_control_while_a_motion_is_measured_has_nothing_more_s
             assert is_cancelled.wait(10.0)  # beside it: it cannot be cancelled itself
 
     monkeypatch.setattr(bench.trials, "cancel", noted)
-    monkeypatch.setattr(module, "measure_motion", measured)
-    monkeypatch.setattr(module.TrialResult, "of", lambda *_: "what was found")
-
-    async def hold(bench):
-        for number in range(1, motion + 1):
-            await bench.reach(Stage.READY, number)
-            bench.trials.release(PAGE)
-            bench.trials.press(PAGE)
-            await bench.reach(Stage.MOVING, number)
-            bench.trials.press(PAGE)
-
-    assert bench.run(hold, (IN_FORCE, CHOSEN)) == "cancelled"
+    measuring(measured)
+    assert bench.run(lambda bench: bench.hold(motion), (IN_FORCE, CHOSEN)) == "cancelled"
     assert len(bench.motions) == motion
-    assert bench.graph.joints[NODE].settings.gains.p == before
+    assert bench.gain == bench.before
 
 
-def test_what_is_kept_of_a_trial_is_what_was_tried_alone(monkeypatch):
+def test_what_is_kept_of_a_trial_is_what_was_tried_alone(measuring):
     """A snapshot is of all joints, and has what nobody wanted to try."""
     bench = Bench("")
     everything = {
@@ -194,16 +182,8 @@ def test_what_is_kept_of_a_trial_is_what_was_tried_alone(monkeypatch):
         for node, each in bench.graph.joints.items()
     }
     shown = []
-    monkeypatch.setattr(module, "measure_motion", lambda *_: None)
-    monkeypatch.setattr(module.TrialResult, "of", lambda variants, _: shown.extend(variants))
-
-    async def hold(bench):
-        await bench.reach(Stage.READY)
-        bench.trials.press(PAGE)
-        await bench.reach(Stage.MOVING)
-        bench.trials.press(PAGE)
-
-    bench.run(hold, (Variant("a", everything),))
+    measuring(compare=lambda variants, _: shown.extend(variants))
+    bench.run(Bench.hold, (Variant("a", everything),))
     (variant,) = shown
     assert set(variant.values) == {NODE}
 
@@ -234,8 +214,7 @@ def test_a_motion_that_a_limit_stopped_is_not_tried_again():
     async def hold(bench):
         await bench.reach(Stage.READY)
         left.append(bench.trials.seconds_left)
-        bench.trials.press(PAGE)
-        await bench.reach(Stage.MOVING)
+        await bench.move()
         left.append(bench.trials.seconds_left)
         await asyncio.sleep(0.1)
         left.append(bench.trials.seconds_left)
@@ -252,18 +231,15 @@ def test_a_motion_that_a_limit_stopped_is_not_tried_again():
 
 def test_who_is_left_is_set_back_where_the_controller_of_another_joint_ends_in_the_motion():
     async def end_one(bench):
-        await bench.reach(Stage.READY)
-        bench.trials.press(PAGE)
-        await bench.reach(Stage.MOVING)
+        await bench.move()
         bench.graph.gone.add(OTHER)
         bench.graph.refusals[OTHER] = "no answer within 2 s: it may have been taken"
         bench.motions[0].press()
 
     bench = Bench(f"the controller of {OTHER} has published no reference for 0.5 s")
-    before = bench.graph.joints[NODE].settings.gains.p
     both = Variant("chosen", {NODE: {"gains.p": 99.0}, OTHER: {"gains.p": 49.0}})
     said = bench.run(end_one, (both, IN_FORCE), [NODE, OTHER])
-    assert bench.graph.joints[NODE].settings.gains.p == before
+    assert bench.gain == bench.before
     assert "NOT every controller was set back" in said
 
 
@@ -272,8 +248,7 @@ def test_a_trial_leaves_alone_what_somebody_else_sets_meanwhile():
         await bench.reach(Stage.READY)
         bench.graph.set(NODE, {"u_clamp_max": 5.0, "gains.d": 9.0})
         bench.session.pulse()
-        bench.trials.press(PAGE)
-        await bench.reach(Stage.MOVING)
+        await bench.move()
         bench.motions[0].press()
         await bench.reach(Stage.IDLE)
 
@@ -325,11 +300,10 @@ def test_a_motion_whose_button_was_let_go_is_prepared_once_more_until_it_is_canc
 def test_stop_ends_a_trial_at_once_and_no_press_moves_anything_afterwards(stage):
     async def stop(bench):
         await bench.reach(Stage.PREPARING, motions=1)
-        if stage is not Stage.PREPARING:
-            await bench.reach(Stage.READY)
-        if stage is Stage.MOVING:
-            bench.trials.press(PAGE)
-            await bench.reach(Stage.MOVING)
+        if stage is Stage.READY:
+            await bench.reach(stage)
+        elif stage is Stage.MOVING:
+            await bench.move()
         stopping = asyncio.ensure_future(bench.trials.stop())
         await asyncio.sleep(0)
         assert bench.trials.stage is Stage.ENDING  # nothing has been waited for
@@ -374,8 +348,7 @@ def test_a_press_that_is_too_early_is_answered_and_does_not_count_until_it_is_le
             assert bench.motions[0].stage == "ready"
             trials.release(PAGE)
         assert trials.said.startswith("in force: hold the button")
-        trials.press(PAGE)
-        await bench.reach(Stage.MOVING)
+        await bench.move()
         trials.cancel()
 
     bench = Bench()
