@@ -101,9 +101,12 @@ class RunningGraph(NamedTuple):
 
     controllers: Mapping[str, Controller]  # by joint, with positions and efforts
     has_commands: bool  # whether they publish efforts on joint_commands
+    states: str = "joint_states"  # name of the topic that their states come from
 
     @classmethod
-    def of(cls, controllers: Iterable[Controller], *, has_commands: bool) -> RunningGraph:
+    def of(
+        cls, controllers: Iterable[Controller], states: str, *, has_commands: bool
+    ) -> RunningGraph:
         """Order controllers by their joints, of which each must have one."""
         found: dict[str, Controller] = {}
         for each in controllers:
@@ -113,7 +116,7 @@ class RunningGraph(NamedTuple):
                     f"{each.joint} has two controllers, {both}: choose one's with --namespace"
                 )
             found[each.joint] = each
-        return cls(found, has_commands)
+        return cls(found, has_commands, states)
 
     @property
     def document(self) -> dict[str, Any]:

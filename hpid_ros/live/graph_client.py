@@ -156,8 +156,13 @@ class GraphClient:
             self._changes.clear()
             return found
 
-    def running(self, nodes: Sequence[str], state_of: StateOf) -> RunningGraph:
-        """Return controllers as whatever moves joints wants them."""
+    def running(
+        self, nodes: Sequence[str], state_of: StateOf, states: str | None = None
+    ) -> RunningGraph:
+        """Return controllers as whatever moves joints wants them.
+
+        Their states come from a given topic, or from the one that the first of them listens to.
+        """
         with self._lock:
             known = [self._controllers[node] for node in nodes]
             has_commands = all(
@@ -165,16 +170,13 @@ class GraphClient:
                 == ControllerTopics.usual(each.node, each.joint).commands
                 for each in known
             )
-        states = [(each, *state_of(each.node)) for each in known]
+            states = states or self._topics[nodes[0]].states.name
+        found = [(each, *state_of(each.node)) for each in known]
         return RunningGraph.of(
-            [replace(each, position=at, effort=effort) for each, at, effort in states],
+            [replace(each, position=at, effort=effort) for each, at, effort in found],
+            states,
             has_commands=has_commands,
         )
-
-    def states_topic(self, node: str) -> str:
-        """Return the full name of the topic that a controller takes its states from."""
-        with self._lock:
-            return self._topics[node].states.name
 
     def is_quiet(self, within: float) -> bool:
         """Return whether no node has come for so long, in [s], and all have been asked."""
@@ -609,7 +611,8 @@ def running_graph(states: str = "joint_states", namespace: str | None = None) ->
     with _reading(below) as (client, spin, found):
         _loops(found, below)
         controllers = [Controller.of(name, each) for name, each in found.items()]
-        return client.running(list(found), _listened(client._node, controllers, states, spin))
+        state_of = _listened(client._node, controllers, states, spin)
+        return client.running(list(found), state_of, states)
 
 
 def _listened(node: Node, controllers: Sequence[Controller], states: str, spin: Spin) -> StateOf:

@@ -63,14 +63,15 @@ class LiveTuner(executor.ClosingNode):
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
     def begin_stop(self) -> Future | None:
-        """Cancel a trial that is under way."""
-        if not self._served.is_trying:
+        """Cancel a trial that is under way: joints come to rest, and get back what it has set."""
+        trials = self._served.trials
+        if trials.is_idle:
             return None
-        self._served.cancel()
+        trials.cancel()
         has_ended = Future()
 
         def look() -> None:
-            if not self._served.is_trying and not has_ended.done():
+            if trials.is_idle and not has_ended.done():
                 has_ended.set_result(None)
 
         steady_timer(self, _LOOK_PERIOD, look)

@@ -133,12 +133,11 @@ def carried_out(
     graph: RunningGraph,
     namespace: str,
     bag: Path,
-    states: str,
     tell: Tell,
     button: Button | None = None,
 ) -> Ending:
     """Run a process that moves joints, and record; however it ends, it has let the joints rest."""
-    remapped = ["-r", f"joint_states:={states}"] if states != "joint_states" else []
+    remapped = ["-r", f"joint_states:={graph.states}"] if graph.states != "joint_states" else []
     arguments = ["-r", f"__ns:={namespace}", *remapped]
     with tempfile.TemporaryDirectory(prefix="hpid_live_") as folder:
         place = Path(folder)
@@ -328,7 +327,6 @@ def carry_out(
     controllers: Sequence[Controller],
     graph: RunningGraph,
     bag: Path,
-    states: str,
     tell: Tell,
     button: Button | None = None,
 ) -> Ending:
@@ -342,8 +340,7 @@ def carry_out(
         "reference_timeout": max(_LEAST_REFERENCE_TIMEOUT, slowest),
         "is_simulated": all(each.is_simulated for each in timings),
     }
-    space = controllers[0].namespace
-    return carried_out(_EXCITER, order, graph, space, bag, states, tell, button)
+    return carried_out(_EXCITER, order, graph, controllers[0].namespace, bag, tell, button)
 
 
 class HeldMotion:
@@ -359,7 +356,6 @@ class HeldMotion:
         controllers: Sequence[Controller],
         graph: RunningGraph,
         bag: Path,
-        states: str = "joint_states",
         within: float = HELD_WITHIN,
     ) -> None:
         self.bag = bag
@@ -372,9 +368,8 @@ class HeldMotion:
 
         def run() -> None:
             try:
-                self._ended.set_result(
-                    carry_out(plan, controllers, graph, bag, states, self._tell, button)
-                )
+                ending = carry_out(plan, controllers, graph, bag, self._tell, button)
+                self._ended.set_result(ending)
             except BaseException as error:  # raised where somebody asks for the ending
                 self._ended.set_exception(error)
             finally:
@@ -402,7 +397,6 @@ def carry_out_relay(
     controller: Controller,
     graph: RunningGraph,
     bag: Path,
-    states: str,
     tell: Tell,
 ) -> Ending:
     """Have a relay drive a joint for some cycles, and record it."""
@@ -413,7 +407,7 @@ def carry_out_relay(
         (f"{controller.node}/relay",),
     )
     order = {"controller": controller.node, "request": list(astuple(planned.request))}
-    return carried_out(mover, order, graph, controller.namespace, bag, states, tell)
+    return carried_out(mover, order, graph, controller.namespace, bag, tell)
 
 
 class RelayFindings(NamedTuple):

@@ -112,14 +112,9 @@ class JointClock:
             clock.epoch += 1
         self._start_ns, self._epoch = clock.start_ns, clock.epoch
 
-    def seconds(self, stamps_ns: Integers) -> Numbers:
-        """Return times since the clock began, in [s]."""
-        seconds: Numbers = (stamps_ns - self._start_ns) / float(NANOSECONDS)
-        return seconds
-
-    def now(self, stamp_ns: int) -> float:
-        """Return one time in [s]."""
-        return (stamp_ns - self._start_ns) / NANOSECONDS
+    def seconds(self, stamps_ns: Any) -> Any:
+        """Return times since the clock began in [s]: of many stamps, or of one."""
+        return (stamps_ns - self._start_ns) / NANOSECONDS
 
     def present(self, stamps_ns: Integers, is_restarted: bool) -> Integers:
         """Return which answers to states are of the present time, as indices."""
@@ -179,7 +174,7 @@ class JointSampler:
         """Return times of so many commands without stamps: the newest answers the newest state."""
         if not len(times):
             last_ns = self.clock.last_ns
-            return np.full(count, np.nan if last_ns is None else self.clock.now(last_ns))
+            return np.full(count, np.nan if last_ns is None else self.clock.seconds(last_ns))
         return times[np.clip(np.arange(len(times) - count, len(times)), 0, None)]
 
 
@@ -391,7 +386,7 @@ class Watching:
                 return math.nan
             newest = self._streams[self._watched[node].states].newest()
             stamp_ns = clock.last_ns if newest is None else _stamp_ns(newest, clock.last_ns)
-            return clock.now(stamp_ns) if stamp_ns >= clock.last_ns else math.nan
+            return float(clock.seconds(stamp_ns)) if stamp_ns >= clock.last_ns else math.nan
 
     def close(self) -> None:
         self.watch({})

@@ -8,7 +8,7 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import Enum
@@ -20,7 +20,7 @@ import numpy as np
 from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.control.settings import Value
 from hpid_ros.live.controllers import Controller, RunningGraph
-from hpid_ros.live.motion import RELEASED, Ending, HeldMotion, bounds_of, chosen
+from hpid_ros.live.motion import HELD_WITHIN, RELEASED, Ending, HeldMotion, bounds_of, chosen
 from hpid_ros.live.session import LiveSession, Values, differences, same
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries
@@ -153,15 +153,11 @@ class Stage(Enum):
     ENDING = "ending"
 
 
-Starter = Callable[[ExcitationPlan, Sequence[Controller], RunningGraph, Path, str], HeldMotion]
-"""Begins a motion: what, whose, on which graph, into which bag, by which topic of states."""
-
-
 class Trials:
     """One trial at a time, of the page that has the controllers in hand."""
 
-    def __init__(self, session: LiveSession, start: Starter, within: float) -> None:
-        self._session, self._start, self._within = session, start, within
+    def __init__(self, session: LiveSession, within: float = HELD_WITHIN) -> None:
+        self._session, self._within = session, within
         self._stage = Stage.IDLE
         self.said, self.is_bad = "", False
         self.result: TrialResult | None = None
@@ -181,6 +177,10 @@ class Trials:
     def stage(self) -> Stage:
         is_ending = self._end and self._stage is not Stage.IDLE
         return Stage.ENDING if is_ending else self._stage
+
+    @property
+    def is_idle(self) -> bool:
+        return self._stage is Stage.IDLE
 
     @property
     def seconds_left(self) -> float | None:
@@ -369,14 +369,13 @@ class Trials:
     ) -> Measured:
         """Carry one motion out, as often as its button is released, and measure it."""
         assert self._folder is not None
-        states = self._session.graph.states_topic(nodes[0])
         for attempt in itertools.count(1):
             self._require_wanted()
             planned, controllers, graph = self._planned(nodes, wish)
             label = variant.label if attempt == 1 else f"{variant.label}, attempt {attempt}"
             name = "_".join(re.findall(r"\w+", label)) or "run"
             bag = self._folder / f"{number + 1}_{name}"
-            motion = self._start(planned, controllers, graph, bag, states)
+            motion = HeldMotion(planned, controllers, graph, bag, self._within)
             ending = await self._ending(motion, nodes, label, planned.duration)
             if not ending.reason:
                 break

@@ -72,7 +72,7 @@ def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
             harness.wait(has_switched, what="some cycles")
             raise KeyboardInterrupt
 
-    ending = carry_out_relay(planned, controller, graph, tmp_path / "bag", "joint_states", told)
+    ending = carry_out_relay(planned, controller, graph, tmp_path / "bag", told)
     assert ending.is_interrupted
     wait_for_rest(harness)
     assert not allows_relays(harness)

@@ -76,7 +76,7 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
         made = plan([replace(bounds, position=positions(harness)[-1])], Wish(), design)
         harness.set_parameters("turn_controller", u_clamp_max=effort, u_clamp_min=-effort)
         bag = tmp_path / reason
-        ending = carry_out(made, controllers, graph, bag, "joint_states", tell)
+        ending = carry_out(made, controllers, graph, bag, tell)
         harness.set_parameters("turn_controller", u_clamp_max=10.0, u_clamp_min=-10.0)
         wait_for_rest(harness)
         assert reason in ending.reason

@@ -170,7 +170,7 @@ def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
 
     # Whoever holds the button is killed.
     file = bench.folder / "order"
-    file.write_bytes(pickle.dumps((*bench.order("killed"), "joint_states", 10.0 * HELD_WITHIN)))
+    file.write_bytes(pickle.dumps((*bench.order("killed"), 10.0 * HELD_WITHIN)))
     bench.harness.seen.clear()
     holding = threading.Thread(target=hold_until_killed, args=(file, 1.0), daemon=True)
     holding.start()

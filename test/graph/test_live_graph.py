@@ -195,8 +195,9 @@ def test_our_controllers_are_found_in_every_namespace_and_watched(harness, graph
     assert set(seen[ELBOW].values) == set(PARAMETERS)
     assert (seen[ELBOW].introspection_rate, seen[WRIST].introspection_rate) == (-1.0, 20.0)
     assert not seen[ELBOW].requires_certificate
-    harness.wait(lambda: graph.states_topic(WRIST) == "/arm/all")
-    assert graph.states_topic(ELBOW) == "/joint_states"
+    of = partial(graph.running, state_of=lambda _: (None, None))
+    harness.wait(lambda: of([WRIST]).states == "/arm/all")
+    assert of([ELBOW]).states == "/joint_states"
     harness.wait(lambda: all(each.health for each in graph.controllers().values()))
     assert graph.controllers()[ELBOW].health.values["lifecycle"] == "active"
 

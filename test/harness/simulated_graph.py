@@ -149,11 +149,9 @@ class SimulatedGraph:
         states = [(seen[node], *state_of(node)) for node in nodes]
         return RunningGraph.of(
             [replace(each, position=at, effort=effort) for each, at, effort in states],
+            "/joint_states",
             has_commands=True,
         )
-
-    def states_topic(self, node: str) -> str:
-        return "/joint_states"
 
 
 def _done(answer: Answer) -> Future[Answer]:

@@ -94,7 +94,7 @@ def excite(options: argparse.Namespace) -> int:
         console.print("nothing was moved")
         return FAILED
     with _progress(console, planned) as tell:
-        ending = carry_out(planned, controllers, graph, bag, options.states, tell)
+        ending = carry_out(planned, controllers, graph, bag, tell)
     if ending.reason:
         console.print(f"stopped: {ending.reason}", style="red", soft_wrap=True)
         if ending.is_at_rest:
@@ -217,7 +217,7 @@ def autotune(options: argparse.Namespace) -> int:
         def tell(event: str, seconds: float) -> None:
             status.update(f"the relay drives the joint: {seconds:.1f} s, Ctrl-C ends it")
 
-        ending = carry_out_relay(planned, controller, graph, bag, options.states, tell)
+        ending = carry_out_relay(planned, controller, graph, bag, tell)
     console.print(f"recorded: {bag}", soft_wrap=True)
     if ending.reason:
         line = f"the relay has ended: {ending.reason}; the controller holds the joint"

@@ -21,7 +21,6 @@ import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, quote, urlencode
@@ -30,13 +29,15 @@ import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from nicegui import Client, ui
 from nicegui import app as pages
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.live.advice import AdviceClient
-from hpid_ros.live.motion import HELD_WITHIN, HeldMotion
+from hpid_ros.live.motion import HELD_WITHIN
 from hpid_ros.live.page.view import PageView
 from hpid_ros.live.session import LiveSession, Mark
-from hpid_ros.live.trials import Stage, Trials
+from hpid_ros.live.trials import Trials
 
 if TYPE_CHECKING:
     from hpid_ros.live.graph_client import GraphClient
@@ -53,14 +54,15 @@ _STARTS_WITHIN, _ENDS_WITHIN = 15.0, 3.0  # [s]
 Scope = MutableMapping[str, Any]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
-_HEADERS = [
-    (b"x-frame-options", b"DENY"),
-    (b"content-security-policy", b"frame-ancestors 'none'; base-uri 'none'; form-action 'self'"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"x-content-type-options", b"nosniff"),
-    (b"cross-origin-resource-policy", b"same-origin"),
-    (b"cross-origin-opener-policy", b"same-origin"),
-]
+_HEADERS = {
+    "x-frame-options": "DENY",
+    "content-security-policy": "frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+}
+_NOT_KEPT = {"cache-control": "no-store"}
 
 
 def require_token(token: str) -> None:
@@ -111,9 +113,7 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = {
-            name.decode("latin-1"): text.decode("latin-1") for name, text in scope["headers"]
-        }
+        headers = Headers(scope=scope)
         query = scope.get("query_string", b"").decode("latin-1")
         status, reason = self.judge(
             scope["type"],
@@ -129,32 +129,28 @@ class Guard:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": reason})
         else:
-            extra = {}
+            told = {**_HEADERS, **_NOT_KEPT}
             if status == 303:
                 left = urlencode([each for each in parse_qsl(query) if each[0] != "token"])
                 own = "/" + quote(scope["path"].lstrip("/"))  # two slashes lead to another host
-                cookie = f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
-                extra = {"location": own + (f"?{left}" if left else ""), "set-cookie": cookie}
-            await _answer(send, status, reason and f"{reason}\n", extra)
+                told["location"] = own + (f"?{left}" if left else "")
+                told["set-cookie"] = (
+                    f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+                )
+            answer = PlainTextResponse(reason and f"{reason}\n", status, told)
+            await answer(scope, receive, send)
 
 
 def _hardened(path: str, send: Send) -> Send:
     async def sent(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            extra = [*_HEADERS]
+            headers = MutableHeaders(scope=message)
+            headers.update(_HEADERS)
             if not path.startswith("/_nicegui"):
-                extra.append((b"cache-control", b"no-store"))
-            message = {**message, "headers": [*message.get("headers", []), *extra]}
+                headers.update(_NOT_KEPT)
         await send(message)
 
     return sent
-
-
-async def _answer(send: Send, status: int, text: str, extra: dict[str, str]) -> None:
-    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"cache-control", b"no-store")]
-    headers += [*_HEADERS, *((k.encode(), v.encode("latin-1")) for k, v in extra.items())]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": text.encode()})
 
 
 class PageServer:
@@ -182,8 +178,7 @@ class PageServer:
         token = token or secrets.token_urlsafe(24)
         self._advice = AdviceClient()
         session = LiveSession(graph, self._advice)
-        start = partial(HeldMotion, within=button_timeout)
-        self._trials = trials = Trials(session, start, button_timeout)
+        self.trials = trials = Trials(session, button_timeout)
         api = _api(trials, Frames(session, trials, 1.0 / rate))
         pages.add_static_files("/assets", str(_ASSETS))
         ui.run_with(
@@ -222,18 +217,10 @@ class PageServer:
         except BaseException as error:
             self._failure = f": {error}"
 
-    @property
-    def is_trying(self) -> bool:
-        return self._trials.stage is not Stage.IDLE
-
-    def cancel(self) -> None:
-        """Have a trial end: joints come to rest, controllers get back what it has set."""
-        self._trials.cancel()
-
     def stop(self) -> list[str]:
         """End the server and what it has begun; no parameter and no state is changed."""
-        tried = self._trials.unfinished()
-        self._trials.close()
+        tried = self.trials.unfinished()
+        self.trials.close()
         self._advice.close()
         self._server.should_exit = True
         self._thread.join(_ENDS_WITHIN)

@@ -56,7 +56,7 @@ def ending(tmp_path, monkeypatch):
     def carry_out(mover, recorder):
         monkeypatch.setattr(watching, "NodeGroup", lambda *_: Group(mover, recorder))
         graph = RunningGraph({}, has_commands=True)
-        return carried_out(MOVER, {}, graph, "/", tmp_path / "bag", "states", lambda *_: None)
+        return carried_out(MOVER, {}, graph, "/", tmp_path / "bag", lambda *_: None)
 
     return carry_out
 

@@ -55,10 +55,11 @@ class Bench:
         self.session.control_lock.join(PAGE)
         self.before = self.gain
         self.motions = []
-        self.trials = Trials(self.session, self._start, 0.4)
+        self.trials = Trials(self.session)
+        module.HeldMotion = self._start
         self._reason, self._motion = reason, motion
 
-    def _start(self, planned, controllers, graph, bag, states):
+    def _start(self, planned, controllers, graph, bag, within):
         self.motions.append(self._motion(bag, self._reason))
         return self.motions[-1]
 
@@ -93,6 +94,12 @@ class Bench:
     async def reach(self, stage, motions=1):
         while self.trials.stage is not stage or len(self.motions) < motions:
             await asyncio.sleep(0.01)
+
+
+@pytest.fixture(autouse=True)
+def no_process(monkeypatch):
+    """Have what a bench puts in the place of motions removed with the test."""
+    monkeypatch.setattr(module, "HeldMotion", None)
 
 
 @pytest.fixture
