@@ -13,12 +13,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from harness.health import change, state
-from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, wait_for_rest
+from harness.turntable import INERTIA, positions, start_turntable, wait_for_rest
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.live.exciter import DeadMan
+from hpid_ros.live.graph_client import running_graph
 from hpid_ros.live.motion import HELD_WITHIN, Button, HeldMotion, bounds_of, chosen
 from hpid_ros.motion.excitation import Design, Wish, plan
 
@@ -38,31 +37,24 @@ while motion.stage != "ended":
 @pytest.fixture(scope="module")
 def turntable(module_harness, tmp_path_factory):
     start_turntable(module_harness, tmp_path_factory.mktemp("turntable"), pace=0.5)
-    return module_harness
+    return module_harness, running_graph()
 
 
 @pytest.fixture
 def bench(turntable, tmp_path):
     """Return the bench, whose controller is active again when a test has ended, however."""
-    yield Bench(turntable, tmp_path)
-    if state(turntable, NODE) != "active":
-        assert change(turntable, "activate", NODE)
+    bench = Bench(*turntable, tmp_path)
+    yield bench
+    if state(bench.harness, NODE) != "active":
+        assert change(bench.harness, "activate", NODE)
 
 
 class Bench:
     """Slow motions of the turntable, and a thumb on the button."""
 
-    def __init__(self, harness, folder):
-        self.harness, self.folder = harness, folder
-        parameters = {name: spec.default for name, spec in PARAMETERS.items()}
-        parameters |= {name.replace("__", "."): value for name, value in GAINS.items()}
-        parameters |= {"joint": "turn", "law": "pid", "control_period": 0.004}
-        parameters |= {"robot_description": URDF, "introspection_rate": 20.0}
-        parameters |= {"state_clock": "simulated", "state_watchdog": False}
-        seen = Controller.of(NODE, {**parameters, "require_certificate": False})
-        seen = replace(seen, position=0.0, effort=0.0)
-        self.graph = RunningGraph.of([seen], has_commands=True)
-        self.controllers = chosen(self.graph, [])
+    def __init__(self, harness, graph, folder):
+        self.harness, self.graph, self.folder = harness, graph, folder
+        self.controllers = chosen(graph, [])
 
     def order(self, name):
         """Return what a motion from where the joint rests is made of."""
