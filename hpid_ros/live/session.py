@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
@@ -105,7 +105,7 @@ class Tuning:
     in_force: dict[str, dict[str, Value]] = field(default_factory=dict)
     staged: dict[str, dict[str, Value]] = field(default_factory=dict)
     snapshots: dict[str, dict[str, Values]] = field(default_factory=dict)
-    done: list[Step] = field(default_factory=list)
+    done: deque[Step] = field(default_factory=lambda: deque(maxlen=_DEPTH))
 
     def see(self, node: str, values: Values) -> None:
         """Take note of what is active on a controller.
@@ -184,10 +184,9 @@ class Tuning:
 
     def note(self, what: str, taken: Mapping[str, Values], before: Mapping[str, Values]) -> None:
         """Take note of sets that controllers took."""
-        if not taken:
-            return
-        kept = {node: {name: before[node][name] for name in taken[node]} for node in taken}
-        self.done = [*self.done, Step(what, kept, taken)][-_DEPTH:]
+        if taken:
+            kept = {node: {name: before[node][name] for name in taken[node]} for node in taken}
+            self.done.append(Step(what, kept, taken))
 
     def undoing(self) -> dict[str, Values]:
         """Return the sets that take the newest step back, without what somebody changed since."""
@@ -201,12 +200,9 @@ class Tuning:
             if own:
                 sets[node] = own
         if not sets:
-            self.done = self.done[:-1]
+            self.done.pop()
             raise SettingError(f"somebody has changed what “{step.what}” set: it is not undone")
         return sets
-
-    def undone(self) -> None:
-        self.done = self.done[:-1]
 
     def starts(self, nodes: Sequence[str]) -> dict[str, Values]:
         """Return what controllers had when they were first seen."""
@@ -227,10 +223,6 @@ class Tuning:
             for node, wanted in values.items()
         }
         return {node: other for node, other in found.items() if other}
-
-    def document(self, nodes: Sequence[str]) -> dict[str, Any]:
-        """Return what is active as a ROS parameter file has it."""
-        return {node: {"ros__parameters": dict(self.in_force[node])} for node in nodes}
 
     def stage_loops(self, loops: Mapping[str, LoopSettings]) -> list[str]:
         """Stage what a parameter file says, joint by joint."""
@@ -509,7 +501,7 @@ class LiveSession:
                 return False
             what = self.tuning.done[-1].what
             if await self._send(sets, f"undo: {what}", is_kept=False):
-                self.tuning.undone()
+                self.tuning.done.pop()
                 self.say(f"undone: {what}")
                 return True
             return False
@@ -557,8 +549,12 @@ class LiveSession:
 
     def document(self) -> str:
         """Return what is active as a ROS parameter file, in YAML."""
-        nodes = [node for node, each in self.controllers.items() if each.is_here]
-        return str(yaml.safe_dump(self.tuning.document(nodes), sort_keys=False))
+        sections = {
+            node: {"ros__parameters": self.tuning.in_force[node]}
+            for node, each in self.controllers.items()
+            if each.is_here
+        }
+        return str(yaml.safe_dump(sections, sort_keys=False))
 
     def load(self, text: str, name: str) -> list[str]:
         """Stage what a parameter file says."""

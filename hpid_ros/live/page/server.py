@@ -20,6 +20,7 @@ import re
 import secrets
 import socket
 import threading
+import time
 from collections.abc import Awaitable, Callable, MutableMapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,7 +50,7 @@ _ASSETS = Path(__file__).parent / "assets"
 _IDLE_PERIOD = 0.5  # [s] between looks at the graph while nobody looks at the page
 _COMES_BACK_WITHIN = 15.0  # [s] of a page that a busy computer has cut off
 _BEHIND = 600  # frames that a page may be behind
-_STARTS_WITHIN, _ENDS_WITHIN = 15.0, 3.0  # [s]
+_STARTS_WITHIN, _ENDS_WITHIN, _LOOK_PERIOD = 15.0, 3.0, 0.05  # [s]
 
 Scope = MutableMapping[str, Any]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
@@ -203,11 +204,9 @@ class PageServer:
             target=self._run, args=(listener,), name="page", daemon=True
         )
         self._thread.start()
-        pause = threading.Event()
-        for _ in range(round(_STARTS_WITHIN / 0.05)):
-            if self._server.started or not self._thread.is_alive():
-                break
-            pause.wait(0.05)
+        deadline = time.monotonic() + _STARTS_WITHIN
+        while not self._server.started and self._thread.is_alive() and time.monotonic() < deadline:
+            self._thread.join(_LOOK_PERIOD)
         if not self._server.started:
             raise SettingError(f"the page's server did not start{self._failure}")
 

@@ -81,7 +81,7 @@ def test_what_is_staged_on_three_joints_is_one_set_each_and_one_step_to_undo(ses
     assert asyncio.run(session.undo())
     session.pulse()
     assert session.tuning.in_force == session.tuning.first
-    assert session.tuning.done == []
+    assert not session.tuning.done
 
 
 def test_where_one_refuses_the_others_get_theirs_back_and_its_own_words_are_shown(session, graph):
@@ -91,7 +91,7 @@ def test_where_one_refuses_the_others_get_theirs_back_and_its_own_words_are_show
     session.pulse()
     assert {each["mu"] for each in session.tuning.in_force.values()} == {-0.2}
     assert "arm_joint_2 refused: mu = -0.3 is not certified stable" in lines(session)
-    assert session.tuning.done == []
+    assert not session.tuning.done
 
 
 def test_a_flood_of_sets_ends_at_the_page(session, graph):
@@ -198,7 +198,7 @@ def test_two_acts_at_once_are_done_one_after_the_other(slow):
 
     asyncio.run(act())
     assert slow.graph.degrees() == [-0.2] * 3
-    assert slow.tuning.done == []
+    assert not slow.tuning.done
 
 
 def test_who_was_frozen_does_not_take_alone_what_the_others_gave_back(slow):
