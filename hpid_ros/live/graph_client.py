@@ -632,4 +632,4 @@ def _listened(node: Node, controllers: Sequence[Controller], states: str, spin: 
     spin(lambda: False, _LISTENS_FOR)
     has_states()
     watching.close()
-    return lambda name: (histories[name].position, histories[name].mean_effort())
+    return lambda name: histories[name].state

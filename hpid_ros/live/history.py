@@ -18,6 +18,7 @@ LONGEST = 60.0
 
 MOST_SAMPLES = 200_000
 _REFERENCES_APART, _STATES_APART = 2.0, 0.5  # [s], at most
+_EFFORTS_OVER = 0.5  # [s]
 
 SIGNALS = ("position", "reference", "error", "effort", "norm", "multiplier")
 """What is drawn, in the order of :meth:`JointHistory.drawn`."""
@@ -130,12 +131,14 @@ class JointHistory:
         rows = self._states.rows
         return float(rows[-1, 1]) if len(rows) else None
 
-    def mean_effort(self, over: float = 0.5) -> float | None:
-        """Return the mean effort of the last seconds in [N m]; None where there is none."""
+    @property
+    def state(self) -> tuple[float | None, float | None]:
+        """Its position, and the mean effort of the last half second in [N m] or [N]."""
         rows = self._efforts.rows
         if not len(rows):
-            return None
-        return float(np.mean(self._efforts.since(rows[-1, 0] - over)[:, 1]))
+            return self.position, None
+        lately = self._efforts.since(rows[-1, 0] - _EFFORTS_OVER)
+        return self.position, float(np.mean(lately[:, 1]))
 
     def append(self, samples: Samples) -> None:
         """Take what came since the last time; what is not finite is left out."""

@@ -202,10 +202,8 @@ class Trials:
             )
         if inactive := self._inactive(nodes):
             raise SettingError(inactive)
-        histories = {node: self._session.history(node) for node in nodes}
-        graph = self._session.graph.running(
-            nodes, lambda node: (histories[node].position, histories[node].mean_effort())
-        )
+        session = self._session
+        graph = session.graph.running(nodes, lambda node: session.history(node).state)
         controllers = chosen(graph, [])
         bounds = [bounds_of(each, None) for each in controllers]
         design = Design(kind=wish.kind, duration=wish.duration, are_together=True)  # type: ignore[arg-type]
