@@ -200,7 +200,7 @@ def _watched(
     tell: Tell,
     button: Button,
     *,
-    is_own: bool,
+    is_own: bool,  # whether this process presses it, and no person
 ) -> Ending:
     """Wait for the end; an interrupt, the recorder's end or one that is overdue is one, too."""
     try:
