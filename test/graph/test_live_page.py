@@ -77,10 +77,6 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page):
     page.get_by_role("button", name="Get ready").click()
     hold_until(page, "in force", "measuring")
     page.mouse.up()
-    hold_until(page, "chosen", "moving")
-    page.mouse.up()  # in the middle: it is prepared once more
-    logged(page, of_trial("chosen", "stopped: the button was released"))
-    wait_for_rest(harness)
     hold_until(page, "chosen", "measuring")
     page.mouse.up()
     row = page.get_by_role("row").filter(has_text="ITAE")
@@ -91,6 +87,10 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page):
     logged(page, "trial: kept, now in force: in force")
 
     page.get_by_role("button", name="Get ready").click()
+    hold_until(page, "in force", "moving")
+    page.mouse.up()  # in the middle: it is prepared once more
+    logged(page, of_trial("in force", "stopped: the button was released"))
+    wait_for_rest(harness)
     page.get_by_role("button", name="Cancel").click()
     logged(page, "trial: cancelled")
 
