@@ -1,6 +1,6 @@
 """The page's server: who may see it, a thread beside the nodes, a stream of frames.
 
-The page moves robots. It is told to people by an address with a token; the browser then keeps the
+The page moves robots. It is reply to people by an address with a token; the browser then keeps the
 token as a cookie of this host, with all its ports. Another page in the same browser has neither
 the token nor this origin, and a name that somebody has pointed at this address (DNS rebinding) is
 no host of it.
@@ -130,15 +130,15 @@ class Guard:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": reason})
         else:
-            told = {**_HEADERS, **_NOT_KEPT}
+            reply = {**_HEADERS, **_NOT_KEPT}
             if status == 303:
                 left = urlencode([each for each in parse_qsl(query) if each[0] != "token"])
                 own = "/" + quote(scope["path"].lstrip("/"))  # two slashes lead to another host
-                told["location"] = own + (f"?{left}" if left else "")
-                told["set-cookie"] = (
+                reply["location"] = own + (f"?{left}" if left else "")
+                reply["set-cookie"] = (
                     f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
                 )
-            answer = PlainTextResponse(reason and f"{reason}\n", status, told)
+            answer = PlainTextResponse(reason and f"{reason}\n", status, reply)
             await answer(scope, receive, send)
 
 
