@@ -88,6 +88,8 @@ def test_a_set_is_taken_from_the_next_cycle_on_as_python_takes_it(make):
     [
         ({"gains__p": 80.0}, "not certified: gains.p = 80 is not within"),
         ({"gains__p": 10.0, "gains__d": 1.0}, "p d must exceed i x inertia"),
+        ({"gains__p": math.nan}, "gains.p is not a number"),
+        ({"fallback_effort": math.nan}, "fallback_effort is not a number"),
         ({"mu": 0.4}, "not certified: mu = 0.4 is not within -0.2 to 0.1"),
         ({"inertia": 0.3}, "not certified: inertia = 0.3 is not within 0.1 to 0.1"),
         ({"norm__rate_weight": 1.3}, "norm.rate_weight x norm.error_scale = 0.104 is not"),
@@ -100,7 +102,7 @@ def test_what_the_certificate_or_the_loop_does_not_allow_is_refused_as_a_whole(
     active, changes, reason
 ):
     cycle, given = Cycle(active), GivenLoop(LOOPS[0])
-    assert reason in active.set("elbow", **changes, fallback_effort=0.5)
+    assert reason in active.set("elbow", **{"fallback_effort": 0.5} | changes)
     held = cycle.position + 1e-5
     for _ in range(20):
         found = cycle(1)[0]

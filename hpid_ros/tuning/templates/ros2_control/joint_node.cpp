@@ -71,6 +71,9 @@ std::string conflict(const Settings & s)
   constexpr double kNone = {{ largest_motion|double }};  // a limit of motion that is none
   const bool has_stop = s.position_min > -kNone || s.position_max < kNone;
   const bool is_semi_implicit = s.discretization != {{ C }}_DISCRETIZATION_EXPLICIT;
+  if (const auto name = not_a_number(s); !name.empty()) {
+    return name + " is not a number";
+  }
   if (s.u_clamp_min > s.u_clamp_max) {
     return "u_clamp_min must not exceed u_clamp_max";
   }

@@ -3,6 +3,7 @@
 #define PARAMETERS_HPP_
 
 #include <array>
+#include <cmath>
 #include <string>
 
 #include "{{ c }}.h"
@@ -39,6 +40,17 @@ inline void assign({{ c }}_settings_type & settings, const rclcpp::Parameter & p
     settings.{{ field.name }} = {{ "to_%s(parameter.as_string())"|format(field.name) if field.choices else "parameter.as_double()" if field.range else "parameter.as_bool()" }};
 {% endfor %}
   }
+}
+
+/// Returns which parameter is not a number; a range lets NaN through.
+inline std::string not_a_number(const {{ c }}_settings_type & settings)
+{
+{% for field in fields if field.range %}
+  if (std::isnan(settings.{{ field.name }})) {
+    return "{{ field.parameter }}";
+  }
+{% endfor %}
+  return "";
 }
 
 }  // namespace {{ package }}
