@@ -29,14 +29,12 @@ from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
 from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
-from hpid_ros.nodes.parts.controller_health import (
+from hpid_ros.nodes.parts.controller import (
     Certification,
     CertificationParameters,
     ControllerHealth,
-    LoopTiming,
-)
-from hpid_ros.nodes.parts.controller_settings import (
     ControllerSettings,
+    LoopTiming,
     RobotParameters,
     concern_the_loop,
     model_compensation,

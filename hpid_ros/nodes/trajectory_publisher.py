@@ -99,7 +99,7 @@ class TrajectoryPublisher(executor.ClosingNode):
         self._publisher.publish(encode_joint_trajectory(self._trajectory.started(start_ns)))
         self._status.send("under way", start_ns=start_ns)
         # Not from its own callback; what paces the robot has one subscriber less to serve.
-        self._leaving = steady_timer(self, 0.0, self._leave_states)
+        self.hand_over(self.destroy_subscription, self._states)
 
     def _on_state(self, raw: bytes) -> None:
         """Wait for the first point of the motion, then publish when it began."""
@@ -118,10 +118,6 @@ class TrajectoryPublisher(executor.ClosingNode):
         if stamp_ns < self._start_ns + self._trajectory.points[0].time_from_start_ns:
             return
         self._begin(self._start_ns)
-
-    def _leave_states(self) -> None:
-        self._leaving.cancel()
-        self.destroy_subscription(self._states)
 
 
 USAGE = Usage(

@@ -38,8 +38,8 @@ class Certifier:
     or has been killed is a finding like another: it never raises.
     """
 
-    def __init__(self, niceness: int = _LAST) -> None:
-        self._niceness = niceness
+    def __init__(self) -> None:
+        self._niceness = _LAST
         self._known: dict[Hashable, tuple[float, float] | str] = {}
         self._child: subprocess.Popen[str] | None = None
         self._child_of: Hashable = None
@@ -78,12 +78,12 @@ class Certifier:
 
     def wait(self, settings: LoopSettings) -> Finding:
         """Find out now, however long it takes: for a loop that has not begun."""
-        niceness, self._niceness = self._niceness, 0
+        self._niceness = 0
         self.want(settings)
         while self._child is not None:
             self._child.wait()
             self.poll()
-        self._niceness = niceness
+        self._niceness = _LAST
         return self.finding(settings)
 
     def close(self) -> None:
