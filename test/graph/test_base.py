@@ -6,13 +6,15 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from harness.graph import ros_arguments
+from harness.places import URDF
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from hpid_ros.experiment.in_process import write_document
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.nodes.core.middleware import OFFERED
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 
@@ -88,5 +90,9 @@ def test_a_live_bridge_tells_odometry_truth_and_slip(harness, tmp_path):
     assert {"slip of the left wheel [m]", "slip of the axle, sideways, recent [m]"} <= set(figures)
     client = harness.node.create_client(Trigger, "mujoco_bridge/reset")
     harness.wait(client.service_is_ready, what="the service")
+    late = []
+    harness.node.create_subscription(String, "robot_description", late.append, LATCHED)
+    harness.wait(lambda: late, what="the description")
+    assert late[0].data == URDF.read_text()
     client.call_async(Trigger.Request())
     harness.wait(lambda: listener.x("odom") < 0.05, what="odometry to start again")

@@ -80,18 +80,26 @@ def come_to_rest(joints, within=5.0):
     return joints.now
 
 
-def test_a_goal_is_reached_with_feedback_in_the_order_of_the_joints(joints):
-    started = joints.start(constraints__elbow__goal=0.01, constraints__shoulder__goal=0.01)
+def test_a_goal_is_reached_with_feedback_though_states_are_on_two_topics(harness):
+    """Each controller of a process is told its topic by a remap, the action by a parameter."""
+    apart = "/gripper/joint_states"
+    joints = Joints(harness, apart={"elbow": apart})
+    started = joints.start(
+        state_topics=f"[joint_states, {apart}]",
+        constraints__elbow__goal=0.01,
+        constraints__shoulder__goal=0.01,
+    )
     client = Client(joints)
     ready = f"ready for goals on /{ACTION}/follow_joint_trajectory: shoulder, elbow"
     assert started.action.log.read_text().count(ready) == 1
     swapped = {name: THERE[name] for name in ("elbow", "shoulder")}
     status = client.follow(goal_of(swapped, TIMES, SLOPES))
     assert status == (SUCCEEDED, 0, "goal reached")
-    assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.01)
+    assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.02)
     assert len(client.feedback) > 2
     assert {tuple(each.joint_names) for each in client.feedback} == {("shoulder", "elbow")}
     assert client.feedback[-1].desired.positions[0] > 0.8
+    assert len(client.feedback[-1].actual.positions) == 2
     require_smooth(joints, 1.5, 6.0)
 
 
@@ -231,7 +239,7 @@ def test_a_server_that_stands_still_leaves_the_joints_on_their_way_to_rest(joint
 
 
 def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(joints):
-    joints.start()
+    joints.start(state_timeout=1.0)
     client = Client(joints)
     handle = client.send(slowly())
     joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
@@ -244,7 +252,6 @@ def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(jo
     joints.is_paused = False
     come_to_rest(joints)
     assert joints.references["shoulder"][-1][1] < 0.9
-    assert client.follow(there())[0] == SUCCEEDED
 
 
 def test_of_a_flood_of_goals_the_last_one_is_followed_and_each_has_its_result(joints):
@@ -312,22 +319,6 @@ def test_without_controllers_no_goal_is_followed(joints):
     joints.run(lambda: told.newest().get("message", "").endswith(line), what="the report")
     status, code, text = Client(joints).follow(there())
     assert (status, code, text) == (ABORTED, INVALID_GOAL, line)
-
-
-def test_joints_whose_states_are_on_two_topics_follow_one_goal(harness):
-    """Each controller of a process is told its topic by a remap, the action by a parameter."""
-    apart = "/gripper/joint_states"
-    joints = Joints(harness, apart={"elbow": apart})
-    joints.start(
-        state_topics=f"[joint_states, {apart}]",
-        constraints__elbow__goal=0.01,
-        constraints__shoulder__goal=0.01,
-    )
-    client = Client(joints)
-    assert client.follow(there()) == (SUCCEEDED, 0, "goal reached")
-    assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.02)
-    assert [len(each.actual.positions) for each in client.feedback[-1:]] == [2]
-    require_smooth(joints, 1.5, 6.0)
 
 
 @pytest.mark.parametrize(

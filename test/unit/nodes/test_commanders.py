@@ -69,6 +69,36 @@ def test_commands_without_stamps_and_a_clock_that_went_back_are_none():
     assert commands.counts["a"].conflicting == 0
 
 
+def held_after(*acts):
+    """Return the commands of joint a after some acts: times of states, or answers in [ms]."""
+    held = HeldCommands(["a"], 100 * MS)
+    for act in acts:
+        if isinstance(act, int):
+            held.begin(act * MS)
+        else:
+            stamp, effort = act
+            held.answer(stamp * MS, ["a"], [effort])
+    return held.finish(), held.counts["a"]
+
+
+@pytest.mark.parametrize(
+    ("acts", "effort", "counts"),
+    [
+        ((5, (2, 1.5), 6), 1.5, {"stale": 1}),  # late, and stands until the next
+        ((5, (2, 1.5), 6, (3, -2.0)), -2.0, {"stale": 2}),
+        ((0, (0, 1.5), 100), 1.5, {}),
+        ((0, (0, 1.5), 101), 0.0, {"unanswered": 1}),  # too old
+        ((50, (50, 1.5), 0), 0.0, {}),  # a clock that goes back
+        ((0, (0, float("nan"))), 0.0, {"invalid": 1}),
+    ],
+)
+def test_which_command_a_paced_robot_acts_on(acts, effort, counts):
+    found, counted = held_after(*acts)
+    assert found == [effort]
+    for name, number in counts.items():
+        assert getattr(counted, name) == number
+
+
 def silent_then_late(times):
     """Return a barrier that gave its joint up and heard answers to states that were over."""
     commands = Barrier(["a", "b"])
@@ -103,3 +133,10 @@ def test_one_that_is_always_too_late_is_believed_ever_more_rarely():
             commands.time_out()
         commands.answer(k - 1, ["a"], [1.0])
     assert 5 < waited < 12
+
+
+def test_commands_of_foreign_joints_are_counted():
+    held = HeldCommands(["a", "b"], 100 * MS)
+    held.begin(0)
+    held.answer(0, ["a", "c"], [1.0, 1.0])
+    assert (held.foreign, held.silent) == (1, ("b",))

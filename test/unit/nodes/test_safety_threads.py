@@ -107,6 +107,26 @@ def test_a_joint_that_was_left_is_not_commanded_by_another_thread():
     assert sent == [(MS, 5.0), (MS, 0.0)]
 
 
+def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
+    callbacks, taken = [], []
+
+    class Node:
+        def create_subscription(self, kind, topic, callback, *rest, **options):
+            callbacks.append(callback)
+
+    TrajectorySubscriptions(Node(), taken.append)
+    latched, volatile = callbacks
+    first, second = (JointTrajectory(joint_names=[name]) for name in ("elbow", "wrist"))
+    for receive, message in (
+        *((latched, first), (volatile, first)),  # both copies, in either order
+        *((volatile, second), (latched, second)),
+        *((latched, second), (volatile, second)),  # published once more
+        (volatile, second),  # by somebody who does not latch
+    ):
+        receive(message)
+    assert taken == [first, second, second, second]
+
+
 def test_a_trajectory_that_comes_again_later_is_another_one(monkeypatch):
     """A late joiner had the latched one, and somebody sends the same with a volatile publisher."""
     taken, now = [], [0.0]
