@@ -6,19 +6,16 @@ from contextlib import suppress
 import numpy as np
 from harness.fuzzing import StateFuzzer
 from harness.graph import ros_arguments
-from harness.health import NAME, Told, call
+from harness.health import NAME, Told
 from harness.loops import pure_loop
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import (
-    GetParameters,
-    ListParameters,
-    SetParameters,
     SetParametersAtomically,
 )
 from rclpy.qos import qos_profile_parameters
 
 from hpid_ros.base.errors import HpidError
-from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control import LoopSettings
 from hpid_ros.control.assembly import make_law
 from hpid_ros.messages.joint_state import JointStateTemplate
 
@@ -186,35 +183,3 @@ def test_ten_thousand_sets_under_load_are_in_force_whole_in_their_order_or_not_a
     faults.count("parameter sets: live node, valid", sum(expected))
     faults.count("parameter sets: live node, refused", SETS - sum(expected))
     faults.count("parameter sets: live node, samples between them", len(answers))
-
-
-DRIFTS = (
-    {"gains.p": 1.0, "gains.i": 0.1, "gains.d": 1.0},
-    {"u_clamp_max": -2.0, "u_clamp_min": -5.0, "law": "pid"},
-    {"position_max": -1.0, "position_min": -2.0},
-)
-
-
-def test_what_is_dumped_and_loaded_again_behaves_the_same(harness):
-    """As ``ros2 param dump`` and ``load`` do it: all values, in the order of the alphabet."""
-    values = {"gains__p": 60.0, "gains__i": 90.0, "gains__d": 12.0, "inertia": 1.0, "mu": -0.2}
-    values |= {"u_clamp_max": 9.0, "u_clamp_min": 3.0, "position_max": 4.0, "position_min": 2.0}
-    harness.start_controller(certify=False, **values)
-    listed = call(harness, ListParameters, "list_parameters", ListParameters.Request())
-    names = sorted(listed.result.names)
-    assert set(LOOP_PARAMETERS) < set(names)
-    request = GetParameters.Request(names=names)
-    dump = call(harness, GetParameters, "get_parameters", request).values
-    kept = [Parameter(name=n, value=v) for n, v in zip(names, dump, strict=True)]
-    for turn, drift in enumerate(DRIFTS):
-        changed = [message(*each) for each in drift.items()]
-        request = SetParametersAtomically.Request(parameters=changed)
-        answer = call(harness, SetParametersAtomically, "set_parameters_atomically", request)
-        assert answer.result.successful
-        request = SetParameters.Request(parameters=kept)
-        results = call(harness, SetParameters, "set_parameters", request).results
-        assert all(result.successful for result in results), [r.reason for r in results]
-        twin = pure_loop(**values)
-        for k in range(20):  # a clock that goes back: the loop starts again
-            numbers = ((100 * (len(DRIFTS) - turn) + k) * MS, 3.0 + 0.02 * k, 0.1)
-            assert harness.ask(*numbers) == twin.step(*numbers)
