@@ -1,12 +1,17 @@
-"""Compensation in a real node: safe when states are not whole."""
+"""Compensation in real nodes: equal to the in-process engine, safe when states are not whole."""
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.files import share_folder
 from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.experiment.compare import compare
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.in_process import NoProgress
 from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.run import read_run
 from hpid_ros.nodes.core.middleware import RARE
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.robot.description import RobotDescription
@@ -15,6 +20,41 @@ ROBOT = str(share_folder() / "urdf" / "mobile_manipulator.urdf")
 JOINTS = tuple(RobotDescription.load(ROBOT).joints)
 ELBOW = "arm_joint_3"
 MS = 1_000_000
+UNIT_GAINS = {"p": 300.0, "i": 1000.0, "d": 30.0}  # three poles at -10 rad/s
+
+
+def test_graph_and_in_process_engine_agree_to_the_last_bit_with_a_model(experiment_file, tmp_path):
+    """Nine processes that each compute the model, and one that shares it between the joints."""
+    experiment = load_experiment(
+        experiment_file(
+            compare={
+                "gravity": {"law": "pid", "compensation": "gravity"},
+                "decoupled": {
+                    "law": "hpid",
+                    "mu": -0.1,
+                    "compensation": "decoupling",
+                    "gains": UNIT_GAINS,
+                    "model": {"payload": 0.4},
+                },
+            }
+        )
+    )
+    results = [
+        compare(
+            experiment,
+            tmp_path / name,
+            NoProgress(),
+            in_process=name == "in-process",
+        )
+        for name in ("graph", "in-process")
+    ]
+    first, second = [(each.folder.path / "result.json").read_bytes() for each in results]
+    assert first == second
+    for label in ("gravity", "decoupled"):
+        graph, in_process = (read_run(each.folder.bag(label), "run").joints for each in results)
+        for one, other in zip(graph, in_process, strict=True):
+            assert np.array_equal(one.position, other.position)
+            assert np.array_equal(one.effort, other.effort)
 
 
 PARAMETERS = {

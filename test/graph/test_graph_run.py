@@ -27,8 +27,6 @@ from hpid_ros.experiment.processes import (
 )
 from hpid_ros.messages.run import read_run
 
-UNIT_GAINS = {"p": 300.0, "i": 1000.0, "d": 30.0}  # three poles at -10 rad/s
-
 
 def run_compare(experiment, folder, **options):
     each = GraphOptions(processes="each")
@@ -39,17 +37,10 @@ def run_compare(experiment, folder, **options):
 def compared(tmp_path_factory):
     """Return a comparison on the graph, with everything that a user gets of it."""
     folder = tmp_path_factory.mktemp("compared")
-    law = {"law": "hpid", "mu": -0.1}
     # What an observer knows of the efforts is what was sent, noise and all.
     observer = {"degree": -0.2, "feed_disturbance": True}
-    # Eight processes that each compute the model, and one that shares it between the joints.
-    model = {"compensation": "decoupling", "gains": UNIT_GAINS, "model": {"payload": 0.4}}
-    laws = {
-        "hPID": law,
-        "observer": {**law, "velocity_source": "observer", "observer": observer},
-        "decoupled": {**law, **model},
-    }
-    file = write_experiment(folder, compare=laws, sensors__noise=2e-4)
+    law = {"law": "hpid", "mu": -0.1, "velocity_source": "observer", "observer": observer}
+    file = write_experiment(folder, compare__observer=law, sensors__noise=2e-4)
     return run_compare(load_experiment(file), folder / "result")
 
 
