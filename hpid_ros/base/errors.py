@@ -43,6 +43,10 @@ class RobotDescriptionError(HpidError, ValueError):
     """A URDF that cannot be read, or that lacks something that was asked of it."""
 
 
+class ReachError(HpidError, ValueError):
+    """A pose that a link cannot take within the joints' limits."""
+
+
 class MessageError(HpidError, ValueError):
     """Bytes that are not the message they claim to be."""
 

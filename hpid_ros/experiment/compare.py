@@ -54,7 +54,7 @@ from hpid_ros.metrics.task import (
     moving_joints,
     task_notes,
 )
-from hpid_ros.motion.references import BrickGoal
+from hpid_ros.motion.bricks import BrickGoal
 from hpid_ros.report.export import engine_grids, engines_csv, table_csv, table_latex
 from hpid_ros.report.table import Grid, grids_text, slides_note, table_text
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated

@@ -20,10 +20,11 @@ from hpid_ros.base.yaml_files import EXTENDS, Document, load_document, parse_yam
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.model import ModelSettings
 from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings
+from hpid_ros.motion.bricks import BrickPlan
 from hpid_ros.motion.joint_trajectory import JointTrajectory
-from hpid_ros.motion.references import BrickPlan, planned_reference, task_schema
-from hpid_ros.robot.compensation import robot_xml, with_inertia
-from hpid_ros.robot.description import JointDescription, RobotDescription, robot_source
+from hpid_ros.motion.references import planned_reference, task_schema
+from hpid_ros.robot.coupling import with_inertia
+from hpid_ros.robot.description import JointDescription, RobotDescription, robot_source, robot_xml
 from hpid_ros.robot.dynamics import Dynamics, wheel_inertias
 from hpid_ros.simulation.settings import ENGINES, WorldSettings
 from hpid_ros.simulation.world_file import WORLD_SECTIONS, read_world, world_schema

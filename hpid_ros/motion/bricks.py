@@ -14,31 +14,128 @@ taken.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import make_interp_spline
 
-from hpid_ros.base.errors import TrajectoryError
-from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
+from hpid_ros.base.errors import ReachError, TrajectoryError
+from hpid_ros.base.records import Record, quantity
+from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers, Vector
 from hpid_ros.motion.base_path import BACKWARD, FORWARD, base_path
 from hpid_ros.motion.generators import combined
 from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint, segment
-from hpid_ros.motion.references import (
-    BrickGoal,
-    BrickPlan,
-    Grip,
-    Placement,
-    PlanOptions,
-    TaskPose,
-    TaskRobot,
-)
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import LinkPose, RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.robot.kinematics import Kinematics, LinkPose, ReachError
+
+if TYPE_CHECKING:  # Pinocchio takes a moment to import, and other references do without
+    from hpid_ros.robot.kinematics import Kinematics
+
+
+@dataclass(frozen=True)
+class TaskRobot:
+    """The robot that does a task."""
+
+    description: RobotDescription  # the robot
+    base: DifferentialDrive | None = None  # its base; None where the root does not move
+    initial_positions: Mapping[str, float] = field(default_factory=dict)
+    opening: float = math.inf  # [m] widest brick that its hand can take
+
+
+@dataclass(frozen=True)
+class PlanOptions(Record):
+    """How a brick task is done."""
+
+    standoff: float = quantity(
+        "Distance of the base's origin from a brick, or from its place, when the arm takes or "
+        "puts it",
+        "m",
+        default=0.42,
+        above=0.0,
+    )
+    back_off: float = quantity(
+        "How far the base drives backwards before it turns away", "m", default=0.2, least=0.0
+    )
+    clearance: float = quantity(
+        "How far above a brick the straight line to it begins", "m", default=0.12, above=0.0
+    )
+    release_gap: float = quantity(
+        "How far above its place a brick is let go", "m", default=0.003, least=0.0
+    )
+    settle: float = quantity(
+        "Wait before the fingers close or open, for the errors to die out",
+        "s",
+        default=1.5,
+        least=0.0,
+    )
+    grip_time: float = quantity("Wait after it", "s", default=0.3, least=0.0)
+    arm_speed: float = quantity(
+        "Largest joint speed, as a share of the joint's limit", default=0.35, above=0.0, most=1.0
+    )
+    line_speed: float = quantity(
+        "Largest speed of the hand on a straight line", "m/s", default=0.1, above=0.0
+    )
+    drive_speed: float = quantity("Largest speed of the base", "m/s", default=0.25, above=0.0)
+    turn_speed: float = quantity(
+        "Largest turning speed of the base", "rad/s", default=0.6, above=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Placement(Record):
+    """Where a brick is put."""
+
+    position: Vector = quantity("Its centre x, y, z in the frame odom", "m")
+    yaw: float = quantity("Its turn about z", "rad", default=0.0)
+    approach: float | None = quantity(
+        "Heading of the base before it; straight from where it is if left out", "rad", default=None
+    )
+
+
+@dataclass(frozen=True)
+class BrickGoal:
+    """A brick, where it is, and where it shall be."""
+
+    name: str  # name of the brick
+    size: Vector  # [m] edges along its own x, y, z
+    pick: Placement  # where it is
+    place: Placement  # where it shall be
+
+
+class Grip(NamedTuple):
+    """The gripper closes or opens."""
+
+    time_ns: int  # [ns] from the start
+    is_closed: bool  # whether it closes
+    brick: str  # name of the brick that it is for
+
+
+class TaskPose(NamedTuple):
+    """Where the hand is to be, in the frame ``odom``."""
+
+    time_ns: int  # [ns] when, from the start
+    phase: str  # above pick, pick, lifted, above place, place or retreated
+    brick: str  # name of the brick
+    pose: LinkPose  # the hand
+
+
+@dataclass(frozen=True)
+class BrickPlan:
+    """A whole brick task."""
+
+    trajectory: JointTrajectory  # of all joints, the wheels first
+    grips: tuple[Grip, ...]  # when the gripper closes and opens
+    poses: tuple[TaskPose, ...]  # what the hand has to reach, in order
+    goals: tuple[BrickGoal, ...]  # the bricks, in order
+
+    @property
+    def duration(self) -> float:
+        """Time of the last point, in [s]."""
+        return self.trajectory.points[-1].time_from_start_ns * 1e-9
+
 
 PEAK = 1.875  # largest speed of a minimum-jerk motion over its mean speed
 _SHORTEST_REACH = 0.2  # [s]
@@ -120,6 +217,8 @@ class ArmMotion:
         A spline of fifth degree with its knots at the solutions is, between two of them, the one
         polynomial that the trajectory's quintic segments make of both ends' derivatives.
         """
+        from scipy.interpolate import make_interp_spline  # slow to import, and only needed here
+
         still = np.zeros_like(solutions[0])
         ends = [(1, still), (2, still)]
         times = np.array(times_ns) / NANOSECONDS

@@ -15,24 +15,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.control.assembly import make_velocity_source
 from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.model import ModelSettings, ModelTerm
+from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import Unwrapper
-from hpid_ros.robot.coupling import Coupling, JointSpace, Settling, coupling
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.differential_drive import DifferentialDrive
+from hpid_ros.robot.coupling import (
+    Settling,
+    coupling_of,
+    model_source,
+    model_space,
+    require_joint,
+)
+from hpid_ros.robot.dynamics import JointSpace
 
 _NO_TIME = -1  # before every stamp of a usable state
 
@@ -427,34 +429,10 @@ def compensators(loops: Sequence[LoopSettings], robot: str) -> list[Compensator 
     return found
 
 
-def coupling_of(settings: LoopSettings, robot: str) -> Coupling:
-    """Return the coupling of the joints of a loop's model, over the robot's poses."""
-    return _coupled(settings.model, _source(settings.model, robot))[1]
-
-
-def with_inertia(settings: LoopSettings, robot: str) -> LoopSettings:
-    """Return settings with the joint's inertia, where decoupling leaves it to the model.
-
-    It decides nothing about the law, which acts on a unit double integrator, but the soft stops
-    brake with it.
-    """
-    if not settings.model.is_decoupling or settings.inertia > 0.0:
-        return settings
-    joints, found = _coupled(settings.model, _source(settings.model, robot))
-    _require(settings.joint, joints)
-    return replace(settings, inertia=found.inertia[joints.index(settings.joint)])
-
-
-def robot_xml(source: str) -> str:
-    if source.lstrip().startswith("<"):
-        return source
-    return RobotDescription.load(find_resource(source)).xml
-
-
 def _of_the_robot(settings: LoopSettings, robot: str) -> tuple[RobotDynamics, RobotStates]:
     """Return the dynamics, and what completes the states for them."""
     model = settings.model
-    space = _space(model, _source(model, robot))
+    space = model_space(model, model_source(model, robot))
     time_constant = 0.0
     if model.is_decoupling:
         found = Settling.of(settings, coupling_of(settings, robot))
@@ -471,7 +449,7 @@ def _of_the_joint(
     settings: LoopSettings, dynamics: RobotDynamics, states: RobotStates
 ) -> Compensator:
     """Return one joint's share of the robot's dynamics."""
-    _require(settings.joint, states.joints)
+    require_joint(settings.joint, states.joints)
     if settings.model.is_decoupling:
         return Compensator(DecouplingShare(dynamics, settings.joint), states)
     return Compensator(GravityShare(dynamics.space, settings.joint), states)
@@ -490,48 +468,3 @@ def _text(settings: LoopSettings, robot: str, dynamics: RobotDynamics) -> str:
     if not model.is_decoupling:
         return text
     return f"{text}; {Settling.of(settings, coupling_of(settings, robot)).text}"
-
-
-def _source(model: ModelSettings, robot: str) -> str:
-    """Return the XML text of the model's robot."""
-    source = model.description or robot
-    if not source:
-        raise SettingError(
-            f"compensation {model.compensation} needs the robot: robot_description is empty"
-        )
-    return robot_xml(source)
-
-
-def _space(model: ModelSettings, xml: str) -> JointSpace:
-    description = RobotDescription.load(xml)
-    drive = None
-    if model.left_wheel:
-        drive = DifferentialDrive.of(
-            description,
-            model.left_wheel,
-            model.right_wheel,
-            model.wheel_radius or None,
-            model.wheel_separation or None,
-        )
-    return JointSpace(
-        description,
-        drive,
-        payload_mass=model.payload,
-        payload_link=model.payload_link,
-        mass_scale=model.mass_scale,
-        locked=model.locked,
-    )
-
-
-@lru_cache(maxsize=64)
-def _coupled(model: ModelSettings, xml: str) -> tuple[tuple[str, ...], Coupling]:
-    """Return the joints of a model and their coupling."""
-    space = _space(model, xml)
-    return space.joints, coupling(space)
-
-
-def _require(joint: str, joints: Sequence[str]) -> None:
-    if joint not in joints:
-        raise RobotDescriptionError(
-            f"the model of joint {joint!r} lacks it; it has {', '.join(joints)}"
-        )

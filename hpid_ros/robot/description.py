@@ -12,11 +12,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from hpid_ros.base.errors import RobotDescriptionError, unknown_name
 from hpid_ros.base.files import find_resource, is_file, package_folder
+from hpid_ros.base.units import Numbers
 from hpid_ros.control.settings import LoopSettings
 
 _FILE, _PACKAGE = "file://", "package://"
@@ -136,6 +137,13 @@ class JointDescription:
                 ),
             ),
         )
+
+
+class LinkPose(NamedTuple):
+    """A link's frame in the frame of the robot's root link."""
+
+    position: Numbers  # [m] origin x, y, z
+    rotation: Numbers  # its axes as columns, a rotation matrix of shape (3, 3)
 
 
 UNLIMITED = JointDescription("", "revolute", (1.0, 0.0, 0.0), "", "")
@@ -428,3 +436,9 @@ def robot_limits(source: str, joint: str) -> JointDescription:
         return UNLIMITED
     (found,) = RobotDescription.load(robot_source(source)).select([joint])
     return found
+
+
+def robot_xml(source: str) -> str:
+    """Return the XML text that a source is or names."""
+    found = robot_source(source)
+    return found if isinstance(found, str) else RobotDescription.load(found).xml

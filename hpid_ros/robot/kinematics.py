@@ -22,17 +22,10 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio
 
-from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError
+from hpid_ros.base.errors import ReachError, RobotDescriptionError, SettingError
 from hpid_ros.base.units import Numbers
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import LinkPose, RobotDescription
 from hpid_ros.robot.dynamics import bare_model, velocity_index
-
-
-class LinkPose(NamedTuple):
-    """A link's frame in the frame of the robot's root link."""
-
-    position: Numbers  # [m] origin x, y, z
-    rotation: Numbers  # its axes as columns, a rotation matrix of shape (3, 3)
 
 
 class LinkPoses(NamedTuple):
@@ -107,10 +100,6 @@ CLOSE_ENOUGH = 1e-7  # norm of the pose error [m, rad] of a solution
 STARTS = 24  # the given one, and those that are drawn
 _ITERATIONS = 100  # of one start
 _SEED = 2511
-
-
-class ReachError(HpidError, ValueError):
-    """A pose that the link cannot take within the joints' limits."""
 
 
 class Kinematics:

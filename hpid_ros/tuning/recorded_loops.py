@@ -111,7 +111,7 @@ def _as_applied(settings: LoopSettings, limits: JointDescription, robot: str) ->
     settings = limits.within(settings)
     if not settings.model.is_on:
         return settings
-    from hpid_ros.robot.compensation import with_inertia
+    from hpid_ros.robot.coupling import with_inertia
 
     return with_inertia(settings, robot)
 

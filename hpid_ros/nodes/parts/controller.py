@@ -86,7 +86,7 @@ class ControllerSettings:
                 _require_limits(settings)
             if settings.model.is_on:
                 # Pinocchio takes a moment to import; what needs it is fixed at the start.
-                from hpid_ros.robot.compensation import with_inertia
+                from hpid_ros.robot.coupling import with_inertia
 
                 settings = with_inertia(settings, self.robot)
             self._last = values, settings

@@ -8,15 +8,9 @@ import pytest
 from harness.places import URDF
 
 from hpid_ros.base.errors import TrajectoryError
-from hpid_ros.motion.bricks import plan_bricks
+from hpid_ros.motion.bricks import BrickGoal, Placement, PlanOptions, TaskRobot, plan_bricks
 from hpid_ros.motion.joint_trajectory import SplineReference
-from hpid_ros.motion.references import (
-    BrickGoal,
-    Placement,
-    PlanOptions,
-    TaskRobot,
-    planned_reference,
-)
+from hpid_ros.motion.references import planned_reference
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 from hpid_ros.robot.kinematics import Kinematics, rotation_angles

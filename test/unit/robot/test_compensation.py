@@ -20,10 +20,10 @@ from hpid_ros.robot.compensation import (
     RobotState,
     RobotStates,
 )
-from hpid_ros.robot.coupling import JointSpace, coupling, relaxation
+from hpid_ros.robot.coupling import coupling, relaxation
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.robot.dynamics import Dynamics, build_model, velocity_index
+from hpid_ros.robot.dynamics import Dynamics, JointSpace, build_model, velocity_index
 
 ROBOT = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
 DRIVE = DifferentialDrive.of(ROBOT, "wheel_left_joint", "wheel_right_joint")

@@ -16,8 +16,8 @@ from hpid_ros.robot.compensation import (
     RobotStates,
     compensators,
 )
-from hpid_ros.robot.coupling import JointSpace
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.dynamics import JointSpace
 from hpid_ros.simulation.engine import record_run
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from harness.places import URDF
 
-from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.kinematics import Kinematics, LinkPose, ReachError, rotation_angles
+from hpid_ros.base.errors import ReachError, RobotDescriptionError, SettingError
+from hpid_ros.robot.description import LinkPose, RobotDescription
+from hpid_ros.robot.kinematics import Kinematics, rotation_angles
 
 ROBOT = RobotDescription.load(URDF)
 ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))

@@ -9,9 +9,9 @@ import pytest
 from harness.places import URDF
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import LinkPose, RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.robot.kinematics import Kinematics, LinkPose
+from hpid_ros.robot.kinematics import Kinematics
 from hpid_ros.simulation.mujoco import MujocoPhysics
 from hpid_ros.simulation.settings import (
     Brick,
