@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,19 +38,6 @@ class LegMotion(NamedTuple):
     turn: Numbers  # [rad] change of the heading since the leg's start, (N,)
     turn_rate: Numbers  # [rad/s]
     turn_acceleration: Numbers  # [rad/s^2]
-
-
-class Leg(Protocol):
-    """What a path is made of."""
-
-    def motion(self, shares: Numbers) -> LegMotion:
-        """Return the motion at ascending shares of the leg's time, the first one 0, (N,)."""
-
-    def places(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """Return x, y in [m] and the turn since the start in [rad] at any shares, (N,) each."""
-
-    def curvature(self, shares: Numbers) -> Numbers:
-        """Return the path's curvature at any shares, (N,), in [1/m]."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +110,7 @@ class DrivenLeg:
         self._first = tangents[0]
 
     def motion(self, shares: Numbers) -> LegMotion:
+        """Return the motion at ascending shares of the leg's time, the first one 0, (N,)."""
         u, du, ddu = self._law.at(shares)
         tangent, bend, jerk = (self._value(order, u) for order in (1, 2, 3))
         length = np.hypot(*tangent.T)
@@ -141,12 +129,13 @@ class DrivenLeg:
         )
 
     def places(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """Return x, y in [m] and the turn since the start in [rad] at any shares, (N,) each."""
         u = self._law.at(shares)[0]
         x, y = self._value(0, u).T
         return x, y, self._turns(u, self._value(1, u))
 
     def curvature(self, shares: Numbers) -> Numbers:
-        """Return the curvature, as for :class:`Leg`; infinite where the curve turns back."""
+        """Return the path's curvature in [1/m]; infinite where the curve turns back."""
         u = self._law.at(shares)[0]
         tangent, bend = self._value(1, u), self._value(2, u)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -171,6 +160,10 @@ class DrivenLeg:
         near = np.interp(u, _FINE, self._windings)
         turns: Numbers = raw + 2.0 * np.pi * np.round((near - raw) / (2.0 * np.pi))
         return turns
+
+
+Leg = Turn | DrivenLeg
+"""What a path is made of."""
 
 
 def _power_basis(points: Numbers) -> Numbers:
@@ -317,7 +310,6 @@ class BasePath:
         separation: float,
         *,
         velocity_limit: float = math.inf,
-        start: tuple[float, float] = (0.0, 0.0),
     ) -> JointTrajectory:
         r"""Return the wheels' trajectories, exact at their knots and within 1e-8 rad between.
 
@@ -330,8 +322,8 @@ class BasePath:
                 raise TrajectoryError(f"{name} must be positive and finite, not {value} m")
         for index, leg in enumerate(self._legs):
             self._check_rates(index, leg, (left, right), radius, separation, velocity_limit)
-        first = self._times_ns[0]
-        knots = [(Knot(first, start[0], 0.0, 0.0), Knot(first, start[1], 0.0, 0.0))]
+        first = Knot(self._times_ns[0], 0.0, 0.0, 0.0)
+        knots = [(first, first)]
         for leg, (begin, end) in zip(self._legs, pairwise(self._times_ns), strict=True):
             knots += leg_knots(leg, begin, end, knots[-1], radius, separation)
         points = tuple(

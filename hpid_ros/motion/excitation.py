@@ -234,13 +234,6 @@ class Wish(NamedTuple):
                 raise SettingError(f"the largest {name} must be positive, not {value:g}")
 
 
-class Allowed(NamedTuple):
-    """What a joint's excitation may reach, and why not more."""
-
-    peaks: Peaks  # position, velocity and acceleration
-    notes: tuple[str, ...]  # what was assumed
-
-
 def inertia_from_gains(p: float, d: float) -> float:
     """Return the inertia at which gains make a loop of damping ratio 1: d^2 / (4 p).
 
@@ -252,8 +245,8 @@ def inertia_from_gains(p: float, d: float) -> float:
     return d * d / (4.0 * _DAMPING_RATIO**2 * p)
 
 
-def allowed(bounds: JointBounds, wish: Wish) -> Allowed:
-    """Return what an excitation of a joint may reach."""
+def allowed(bounds: JointBounds, wish: Wish) -> tuple[Peaks, tuple[str, ...]]:
+    """Return what an excitation of a joint may reach, and what was assumed."""
     notes = []
     room = min(bounds.upper - bounds.position, bounds.position - bounds.lower)
     if not room > 0.0:
@@ -280,7 +273,7 @@ def allowed(bounds: JointBounds, wish: Wish) -> Allowed:
         unit = "kg" if bounds.is_slide else "kg m^2"
         notes.append(f"its inertia is taken from its gains, {bounds.inertia:.3g} {unit}")
     amplitude = min(wish.share * room, wish.amplitude)
-    return Allowed(Peaks(amplitude, velocity, acceleration), tuple(notes))
+    return Peaks(amplitude, velocity, acceleration), tuple(notes)
 
 
 _LEAST_DWELL = 0.2  # [s]
@@ -409,7 +402,7 @@ def plan(bounds: Sequence[JointBounds], wish: Wish, design: Design) -> Excitatio
     fastest = {"multisine": design.band[1], "sine": design.frequency}.get(design.kind, 0.0)
     turns = 1 if design.are_together else len(bounds)
     _require_few(KNOTS_A_PERIOD * design.duration * fastest * turns)
-    limits = [allowed(each, wish) for each in bounds]
+    limits, notes = zip(*(allowed(each, wish) for each in bounds), strict=True)
     courses = [_course(each, design, number) for number, each in enumerate(limits)]
     begins, begin = [], _LEAD
     for course in courses:
@@ -418,7 +411,7 @@ def plan(bounds: Sequence[JointBounds], wish: Wish, design: Design) -> Excitatio
             begin += float(course.times[-1]) + _BETWEEN
     joints = [
         _planned_joint(*each, design.tolerance)
-        for each in zip(bounds, limits, courses, begins, strict=True)
+        for each in zip(bounds, notes, courses, begins, strict=True)
     ]
     return _laid_out(joints, courses, begins)
 
@@ -431,8 +424,8 @@ def _require_few(knots: float) -> None:
         )
 
 
-def _course(limits: Allowed, design: Design, number: int) -> Course:
-    duration, peaks = design.duration, limits.peaks
+def _course(peaks: Peaks, design: Design, number: int) -> Course:
+    duration = design.duration
     match design.kind:
         case "steps":
             return steps(duration, peaks)
@@ -444,7 +437,11 @@ def _course(limits: Allowed, design: Design, number: int) -> Course:
 
 
 def _planned_joint(
-    bounds: JointBounds, limits: Allowed, course: Course, begin: float, tolerance: float
+    bounds: JointBounds,
+    notes: tuple[str, ...],
+    course: Course,
+    begin: float,
+    tolerance: float,
 ) -> PlannedJoint:
     peaks = course.peaks
     chosen = tolerance or max(_TOLERANCE_SHARE * peaks.position, _LEAST_TOLERANCE)
@@ -457,7 +454,7 @@ def _planned_joint(
         course.crest_factor,
         chosen,
         min(bounds.velocity, _RUNAWAY * peaks.velocity + _VELOCITY_NOISE),
-        limits.notes,
+        notes,
     )
 
 

@@ -28,6 +28,7 @@ from hpid_ros.robot.description import (
     RobotDescription,
     find_mesh,
     mesh_places,
+    origin_of,
 )
 from hpid_ros.robot.differential_drive import DifferentialDrive
 
@@ -43,11 +44,9 @@ def hold(element: ElementTree.Element, joint: JointDescription, position: float)
             f"joint {joint.name!r} cannot be held at {position}, which is not within its limits"
             f" [{joint.lower}, {joint.upper}]"
         )
-    origin = element.find("origin")
-    if origin is None:
-        origin = ElementTree.SubElement(element, "origin")
-    place = np.array([float(word) for word in origin.get("xyz", "0 0 0").split()])
-    angles = [float(word) for word in origin.get("rpy", "0 0 0").split()]
+    position_of_frame, angles = origin_of(element)
+    origin = _child(element, "origin")
+    place = np.array(position_of_frame)
     turn = Rotation.from_euler("xyz", angles)  # about fixed axes
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     if joint.is_slide:

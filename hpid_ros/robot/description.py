@@ -219,11 +219,28 @@ def _number(
 
 def _link(element: ElementTree.Element, tag: str, where: str) -> str:
     """Return the link that a parent or child element names."""
-    found = element.find(tag)
-    name = "" if found is None else found.get("link", "")
+    name = end_of(element, tag)
     if not name:
         raise RobotDescriptionError(f"{where} has no <{tag} link=.../>")
     return name
+
+
+def end_of(joint: ElementTree.Element, tag: str) -> str:
+    """Return the link that a joint's parent or child element names; empty for none."""
+    found = joint.find(tag)
+    return "" if found is None else found.get("link", "")
+
+
+def numbers_of(element: ElementTree.Element, attribute: str, default: str = "") -> list[float]:
+    return [float(word) for word in (element.get(attribute) or default).split()]
+
+
+def origin_of(element: ElementTree.Element) -> tuple[list[float], list[float]]:
+    """Return xyz [m] and rpy [rad] of an element's origin."""
+    origin = element.find("origin")
+    if origin is None:
+        return [0.0] * 3, [0.0] * 3
+    return numbers_of(origin, "xyz", "0 0 0"), numbers_of(origin, "rpy", "0 0 0")
 
 
 def _axis(element: ElementTree.Element, where: str) -> tuple[float, float, float]:
@@ -379,8 +396,7 @@ def _root_link(robot: ElementTree.Element, links: tuple[str, ...], origin: str) 
         name = joint.get("name", "")
         ends = []
         for tag in ("parent", "child"):
-            element = joint.find(tag)
-            end = "" if element is None else element.get("link", "")
+            end = end_of(joint, tag)
             if end not in below:
                 raise RobotDescriptionError(
                     f"{origin}, joint {name!r}, {tag}: {unknown_name('link', end, links)}"

@@ -25,7 +25,7 @@ import numpy as np
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.units import Numbers, Vector
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import RobotDescription, end_of
 
 _ALIGNED = 0.01  # [rad], also for those who write 1.57 for a quarter of a turn
 
@@ -42,7 +42,7 @@ class Wheel(NamedTuple):
 
 def read_wheel(description: RobotDescription, joint: str) -> Wheel:
     robot = ElementTree.fromstring(description.xml)
-    parents = {_child(each): each for each in robot.findall("joint")}
+    parents = {end_of(each, "child"): each for each in robot.findall("joint")}
     wheel = description.joints[joint]
     centre: Vector = (0.0, 0.0, 0.0)
     axis: Vector = wheel.axis
@@ -53,8 +53,7 @@ def read_wheel(description: RobotDescription, joint: str) -> Wheel:
         x, y, z = _turned(rows, centre)
         centre = (x + shift[0], y + shift[1], z + shift[2])
         axis = _turned(rows, axis)
-        parent = element.find("parent")
-        link = "" if parent is None else parent.get("link", "")
+        link = end_of(element, "parent")
     if math.atan2(math.hypot(axis[0], axis[2]), axis[1]) > _ALIGNED:
         raise RobotDescriptionError(
             f"wheel {joint!r} must turn about the +y axis of {description.root!r}, not about "
@@ -70,11 +69,6 @@ def _radius(robot: ElementTree.Element, name: str) -> float | None:
         return None
     (radius,) = _numbers(shapes[0], "radius", "nan", f"link {name!r}", 1)
     return radius
-
-
-def _child(joint: ElementTree.Element) -> str:
-    child = joint.find("child")
-    return "" if child is None else child.get("link", "")
 
 
 def _origin(joint: ElementTree.Element) -> tuple[Vector, Rows]:

@@ -15,7 +15,6 @@ with limits and started again from random poses.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -35,9 +34,8 @@ class LinkPoses(NamedTuple):
     rotations: Numbers  # axes as columns, shape (n, 3, 3)
 
 
-@dataclass(frozen=True, eq=False)
-class ChainJoint:
-    """One joint of a chain."""
+class ChainJoint(NamedTuple):
+    """One joint between the root and the link."""
 
     # of the joint's frame at position 0 in the frame of the joint before, (3, 3)
     rotation: Numbers
@@ -46,32 +44,6 @@ class ChainJoint:
     is_prismatic: bool  # it slides along the axis; otherwise it turns about it
     column: int | None  # where its position stands among the positions given
     still: float  # [rad] its position where column is None
-
-
-@dataclass(frozen=True, eq=False)
-class SerialChain:
-    """Joints from a root to a tip."""
-
-    joints: tuple[ChainJoint, ...]  # from the root on
-    tip_rotation: Numbers  # of the tip in the frame of the last joint, (3, 3)
-    tip_origin: Numbers  # [m] of the same, (3,)
-
-    def poses(self, positions: Numbers) -> LinkPoses:
-        """Return the tip in the root's frame."""
-        count = len(positions)
-        origins = np.zeros((count, 3))
-        rotations = np.broadcast_to(np.eye(3), (count, 3, 3))
-        for joint in self.joints:
-            origins = origins + rotations @ joint.origin
-            rotations = rotations @ joint.rotation
-            angles = (
-                np.full(count, joint.still) if joint.column is None else positions[:, joint.column]
-            )
-            if joint.is_prismatic:
-                origins = origins + (rotations @ joint.axis) * angles[:, None]
-            else:
-                rotations = rotations @ axis_rotations(joint.axis, angles)
-        return LinkPoses(origins + rotations @ self.tip_origin, rotations @ self.tip_rotation)
 
 
 def axis_rotations(axis: Numbers, angles: Numbers) -> Numbers:
@@ -131,7 +103,7 @@ class Kinematics:
                 raise SettingError(f"position {position} of joint {name!r} is not finite")
             self._motion[velocity_index(self._model, joint.name)] = position
         self._neutral = pinocchio.neutral(self._model)
-        self._links = self._serial_chain()
+        self._links = [self._chain_joint(name) for name in self._chain()]
 
     def pose(self, positions: npt.ArrayLike) -> LinkPose:
         placement = self._placement(self._checked(positions))
@@ -143,7 +115,21 @@ class Kinematics:
 
     def poses(self, positions: npt.ArrayLike) -> LinkPoses:
         """Return where the link is at many instants; equal to :meth:`pose`, and much faster."""
-        return self._links.poses(np.asarray(positions, dtype=float))
+        values = np.asarray(positions, dtype=float)
+        count = len(values)
+        origins = np.zeros((count, 3))
+        rotations = np.broadcast_to(np.eye(3), (count, 3, 3))
+        for joint in self._links:
+            origins = origins + rotations @ joint.origin
+            rotations = rotations @ joint.rotation
+            still = joint.column is None
+            angles = np.full(count, joint.still) if still else values[:, joint.column]
+            if joint.is_prismatic:
+                origins = origins + (rotations @ joint.axis) * angles[:, None]
+            else:
+                rotations = rotations @ axis_rotations(joint.axis, angles)
+        tip = self._model.frames[self._frame].placement
+        return LinkPoses(origins + rotations @ tip.translation, rotations @ tip.rotation)
 
     def solve(self, target: LinkPose, start: npt.ArrayLike) -> Numbers:
         """Return positions within the limits that put the link at a pose.
@@ -222,19 +208,14 @@ class Kinematics:
         parent = self._model.frames[self._frame].parentJoint
         return [self._model.names[index] for index in self._model.supports[parent] if index]
 
-    def _serial_chain(self) -> SerialChain:
-        """Return the chain from the root to the link as numbers."""
-        frame, pieces = self._model.frames[self._frame], []
-        for name in self._chain():
-            placement = self._model.jointPlacements[self._model.getJointId(name)]
-            joint = self.description.joints[name]
-            axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-            column = self.joints.index(name) if name in self.joints else None
-            still = float(self._motion[velocity_index(self._model, name)])
-            rotation, origin = placement.rotation.copy(), placement.translation.copy()
-            pieces.append(ChainJoint(rotation, origin, axis, joint.is_slide, column, still))
-        tip = frame.placement
-        return SerialChain(tuple(pieces), tip.rotation.copy(), tip.translation.copy())
+    def _chain_joint(self, name: str) -> ChainJoint:
+        placement = self._model.jointPlacements[self._model.getJointId(name)]
+        joint = self.description.joints[name]
+        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        column = self.joints.index(name) if name in self.joints else None
+        still = float(self._motion[velocity_index(self._model, name)])
+        rotation, origin = placement.rotation.copy(), placement.translation.copy()
+        return ChainJoint(rotation, origin, axis, joint.is_slide, column, still)
 
 
 def link_poses(

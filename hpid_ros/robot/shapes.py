@@ -20,7 +20,14 @@ from scipy.spatial.transform import Rotation
 
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.base.units import Numbers
-from hpid_ros.robot.description import RobotDescription, find_mesh, mesh_places
+from hpid_ros.robot.description import (
+    RobotDescription,
+    end_of,
+    find_mesh,
+    mesh_places,
+    numbers_of,
+    origin_of,
+)
 
 _logger = logging.getLogger(__name__)
 
@@ -88,7 +95,7 @@ def _shape(
     color = None if material is None else _color(material) or colors.get(material.get("name", ""))
     place = color or PLAIN, *_frame(element)
     if form.tag in _SIZES:
-        sizes = (_numbers(form, name) for name in _SIZES[form.tag])
+        sizes = (numbers_of(form, name) for name in _SIZES[form.tag])
         return Shape(link, form.tag, tuple(chain.from_iterable(sizes)), *place)
     name = form.get("filename", "") if form.tag == "mesh" else ""
     found = find_mesh(name, folder) if name else None
@@ -96,18 +103,17 @@ def _shape(
         why = mesh_places(name, folder) if found is None else "of this format"
         unread.append(f"{name or form.tag} of link {link!r} ({why})")
         return None
-    return Shape(link, "mesh", _numbers(form, "scale", "1 1 1"), *place, found)
+    return Shape(link, "mesh", tuple(numbers_of(form, "scale", "1 1 1")), *place, found)
 
 
 def _bones(robot: Element) -> Iterator[Shape]:
     """Yield a bone from each link's frame to each joint below it, and the joint as a ball."""
     for joint in robot.findall("joint"):
-        parent = joint.find("parent")
         position, _ = _frame(joint)
         length = float(np.linalg.norm(position))
-        if parent is None or length < _SHORTEST_BONE:
+        if length < _SHORTEST_BONE:
             continue
-        link, radius = parent.get("link", ""), _BONE_SHARE * length
+        link, radius = end_of(joint, "parent"), _BONE_SHARE * length
         turn, _ = Rotation.align_vectors([position], [[0.0, 0.0, 1.0]])
         half = position / 2.0
         yield Shape(link, "cylinder", (radius, length), PLAIN, half, turn.as_matrix())
@@ -116,21 +122,13 @@ def _bones(robot: Element) -> Iterator[Shape]:
 
 def _frame(element: Element) -> tuple[Numbers, Numbers]:
     """Return origin and axes that an element's origin says."""
-    origin = element.find("origin")
-    if origin is None:
-        return np.zeros(3), np.eye(3)
-    angles = _numbers(origin, "rpy", "0 0 0")
-    turn = Rotation.from_euler("xyz", angles).as_matrix()
-    return np.array(_numbers(origin, "xyz", "0 0 0")), turn
+    position, angles = origin_of(element)
+    return np.array(position), Rotation.from_euler("xyz", angles).as_matrix()
 
 
 def _color(material: Element) -> Color | None:
     color = material.find("color")
     if color is None:
         return None
-    red, green, blue, *_ = _numbers(color, "rgba")
+    red, green, blue, *_ = numbers_of(color, "rgba")
     return red, green, blue, 1.0
-
-
-def _numbers(element: Element, attribute: str, default: str = "") -> tuple[float, ...]:
-    return tuple(float(word) for word in (element.get(attribute) or default).split())

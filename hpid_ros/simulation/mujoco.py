@@ -21,7 +21,14 @@ import numpy as np
 
 from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.base.units import Numbers, Vector
-from hpid_ros.robot.description import JointDescription, RobotDescription, find_mesh
+from hpid_ros.robot.description import (
+    JointDescription,
+    RobotDescription,
+    end_of,
+    find_mesh,
+    numbers_of,
+    origin_of,
+)
 from hpid_ros.simulation.physics import (
     GROUND_FRICTION,
     NEGLIGIBLE_INERTIA,
@@ -118,9 +125,7 @@ class _Robot:
         self._links = {each.get("name", ""): each for each in root.findall("link")}
         self._below: dict[str, list[ElementTree.Element]] = {}
         for joint in root.findall("joint"):
-            parent = joint.find("parent")
-            if parent is not None:
-                self._below.setdefault(parent.get("link", ""), []).append(joint)
+            self._below.setdefault(end_of(joint, "parent"), []).append(joint)
         self.shapes: list[_Shape] = []
         self.rigid: dict[str, str] = {}
         """The moving link that each link is rigidly connected with, towards the root."""
@@ -140,8 +145,7 @@ class _Robot:
                 pending.append(self._add(parent, name, element))
 
     def _add(self, parent: Any, above: str, element: ElementTree.Element) -> tuple[Any, str]:
-        child = element.find("child")
-        name = "" if child is None else child.get("link", "")
+        name = end_of(element, "child")
         position, turn = _origin(element)
         body = parent.add_body(name=_link(name), pos=position, quat=turn)
         joint = self.description.joints.get(element.get("name", ""))
@@ -155,7 +159,7 @@ class _Robot:
         """Give a body its inertia and its shapes."""
         link = self._links[name]
         inertial = link.find("inertial")
-        mass, centre, moments = (0.0, (), ()) if inertial is None else _inertial(inertial)
+        mass, centre, moments = (0.0, [], []) if inertial is None else _inertial(inertial)
         if mass or any(moments):
             body.mass, body.ipos, body.fullinertia = mass, centre, moments
             body.explicitinertial = True
@@ -183,16 +187,16 @@ class _Robot:
         form, types = geometry[0], mujoco.mjtGeom
         if form.tag == "box":
             geom.type = types.mjGEOM_BOX
-            geom.size = [edge / 2.0 for edge in _numbers(form, "size")]
+            geom.size = [edge / 2.0 for edge in numbers_of(form, "size")]
         elif form.tag == "sphere":
             geom.type = types.mjGEOM_SPHERE
-            geom.size = (*_numbers(form, "radius"), 0.0, 0.0)
+            geom.size = (*numbers_of(form, "radius"), 0.0, 0.0)
         elif form.tag == "cylinder":
             geom.type = types.mjGEOM_CYLINDER
-            geom.size = (*_numbers(form, "radius"), _numbers(form, "length")[0] / 2.0, 0.0)
+            geom.size = (*numbers_of(form, "radius"), numbers_of(form, "length")[0] / 2.0, 0.0)
         elif form.tag == "mesh":
             found = find_mesh(form.get("filename", ""), self.description.folder)
-            scale = _numbers(form, "scale") if form.get("scale") else (1.0, 1.0, 1.0)
+            scale = numbers_of(form, "scale", "1 1 1")
             self._spec.add_mesh(name=name, file=str(found), scale=scale)
             geom.type, geom.meshname = types.mjGEOM_MESH, name
         else:
@@ -356,19 +360,15 @@ def _weld(brick: Brick) -> str:
     return f"__hold_{brick.name}"
 
 
-def _origin(element: ElementTree.Element) -> tuple[tuple[float, ...], Numbers]:
+def _origin(element: ElementTree.Element) -> tuple[list[float], Numbers]:
     """Return the place of an element's frame, and its quaternion w, x, y, z."""
-    turn = np.array([1.0, 0.0, 0.0, 0.0])
-    origin = element.find("origin")
-    if origin is None:
-        return (0.0, 0.0, 0.0), turn
-    position = _numbers(origin, "xyz") if origin.get("xyz") else (0.0, 0.0, 0.0)
-    angles = _numbers(origin, "rpy") if origin.get("rpy") else (0.0, 0.0, 0.0)
+    turn = np.empty(4)
+    position, angles = origin_of(element)
     mujoco.mju_euler2Quat(turn, angles, "XYZ")  # about fixed axes, x first
     return position, turn
 
 
-def _inertial(element: ElementTree.Element) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+def _inertial(element: ElementTree.Element) -> tuple[float, list[float], list[float]]:
     """Return mass, centre of mass, and moments xx, yy, zz, xy, xz, yz in the link's axes."""
     centre, turn = _origin(element)
     inertia = element.find("inertia")
@@ -380,17 +380,13 @@ def _inertial(element: ElementTree.Element) -> tuple[float, tuple[float, ...], t
     mujoco.mju_quat2Mat(flat, turn)
     axes = flat.reshape(3, 3)
     matrix = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
-    moments = matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
-    return _value(element, "mass", 0.0), centre, tuple(moments)
+    moments: list[float] = matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+    return _value(element, "mass", 0.0), centre, moments
 
 
 def _value(parent: ElementTree.Element | None, tag: str, default: float) -> float:
     found = None if parent is None else parent.find(tag)
     return default if found is None else float(found.get("value", default))
-
-
-def _numbers(element: ElementTree.Element, attribute: str) -> tuple[float, ...]:
-    return tuple(float(word) for word in element.get(attribute, "").split())
 
 
 _failures: list[str] = []

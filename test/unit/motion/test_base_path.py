@@ -150,12 +150,6 @@ def test_a_turn_in_place_goes_as_far_as_it_is_written_and_by_0_it_waits(angle):
     assert samples[-1, 1, 0] == pytest.approx(angle * 0.25 / 0.075)
 
 
-def test_wheels_may_begin_anywhere():
-    plan = BasePath([0, 3], [(0, 0, 0), (1, 0, 0)])
-    first = plan.wheels(*WHEELS, start=(7.0, -2.0)).points[0]
-    assert first.positions == (7.0, -2.0)
-
-
 def test_too_fast_is_refused_with_the_leg_and_its_wheel():
     fastest = np.abs(sampled(base_path(TIMES, POSES, *WHEELS, directions=DIRECTIONS), 12.0)[1])
     limit = fastest[:, :, 1].max()

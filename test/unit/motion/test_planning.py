@@ -51,7 +51,7 @@ def hand_in_odom(plan, times_ns, base=MOBILE.base):
     poses = ARM.poses(arm)
     if base is None:
         return poses.positions, poses.rotations
-    fine = np.arange(0, plan.trajectory.points[-1].time_from_start_ns + 1, 2_000_000)
+    fine = np.arange(0, plan.trajectory.points[-1].time_from_start_ns + 1, 4_000_000)
     wheels = [sampled(references[joint], fine)[:, 0] for joint in WHEELS]
     at = np.searchsorted(fine, times_ns)
     positions, rotations = [], []
@@ -72,25 +72,34 @@ def plan():
 
 def test_every_joint_stays_within_its_limits_and_moves_without_a_jump(plan):
     end_ns = plan.trajectory.points[-1].time_from_start_ns
-    times_ns = np.arange(0, end_ns, 5_000_000)
+    times_ns = np.arange(0, end_ns, 10_000_000)
     for name, reference in splines(plan.trajectory).items():
         joint = ROBOT.joints[name]
         position, velocity, acceleration = sampled(reference, times_ns).T
         assert position.min() >= joint.lower
         assert position.max() <= joint.upper
         assert np.abs(velocity).max() <= joint.velocity
-        # Continuous: within 5 ms each changes as its derivative says.
+        # Continuous: within 10 ms each changes as its derivative says.
         means = [0.5 * (each[1:] + each[:-1]) for each in (velocity, acceleration)]
-        assert np.abs(np.diff(position) - 5e-3 * means[0]).max() < 1e-5
-        assert np.abs(np.diff(velocity) - 5e-3 * means[1]).max() < 1e-3
+        assert np.abs(np.diff(position) - 1e-2 * means[0]).max() < 8e-5
+        assert np.abs(np.diff(velocity) - 1e-2 * means[1]).max() < 4e-3
         assert velocity[0] == acceleration[0] == 0.0
 
 
-def test_the_hand_is_at_each_brick_and_place_when_the_gripper_moves(plan):
+def test_every_planned_pose_is_met_and_the_gripper_moves_at_each_brick_and_place(plan):
     expected = [LIGHT.pick, LIGHT.place, HEAVY.pick, HEAVY.place]
     assert [grip.is_closed for grip in plan.grips] == [True, False, True, False]
     assert [grip.brick for grip in plan.grips] == ["light", "light", "heavy", "heavy"]
-    positions, rotations = hand_in_odom(plan, [grip.time_ns for grip in plan.grips])
+    positions, rotations = hand_in_odom(
+        plan, [each.time_ns for each in (*plan.poses, *plan.grips)]
+    )
+    count = len(plan.poses)
+    for position, rotation, each in zip(
+        positions[:count], rotations[:count], plan.poses, strict=True
+    ):
+        assert position == pytest.approx(each.pose.position, abs=1e-5)
+        assert rotation_angles(rotation[None], each.pose.rotation[None])[0] < 1e-5
+    positions, rotations = positions[count:], rotations[count:]
     gaps = (0.0, 0.003, 0.0, 0.003)
     for position, rotation, where, gap in zip(positions, rotations, expected, gaps, strict=True):
         assert position == pytest.approx(np.add(where.position, (0.0, 0.0, gap)), abs=1e-5)
@@ -98,13 +107,6 @@ def test_the_hand_is_at_each_brick_and_place_when_the_gripper_moves(plan):
         across = math.atan2(rotation[1, 1], rotation[0, 1])
         quarter = math.remainder(across - where.yaw, math.pi / 2)
         assert quarter == pytest.approx(0.0, abs=1e-5)
-
-
-def test_every_planned_pose_is_met(plan):
-    positions, rotations = hand_in_odom(plan, [each.time_ns for each in plan.poses])
-    for position, rotation, each in zip(positions, rotations, plan.poses, strict=True):
-        assert position == pytest.approx(each.pose.position, abs=1e-5)
-        assert rotation_angles(rotation[None], each.pose.rotation[None])[0] < 1e-5
 
 
 def test_the_hand_goes_down_and_up_in_a_straight_line():
@@ -119,7 +121,7 @@ def test_the_hand_goes_down_and_up_in_a_straight_line():
 
 def test_the_base_moves_only_with_the_arm_folded(plan):
     references = splines(plan.trajectory)
-    times_ns = np.arange(0, plan.trajectory.points[-1].time_from_start_ns, 5_000_000)
+    times_ns = np.arange(0, plan.trajectory.points[-1].time_from_start_ns, 20_000_000)
     wheels = [sampled(references[joint], times_ns)[:, 1] for joint in WHEELS]
     drives = np.abs(wheels).max(axis=0) > 1e-9
     arm = np.column_stack([sampled(references[joint], times_ns)[:, 0] for joint in ARM.joints])

@@ -135,26 +135,6 @@ def test_rolling_base_decoupled_joint_accelerates_as_wanted_by_constrained_dynam
         assert found[index] == pytest.approx(wanted[index], rel=1e-9, abs=1e-8)
 
 
-def test_all_joints_decoupled_at_once_accelerate_as_wanted():
-    """With the fixed point of the nodes' iteration as efforts, all of them do."""
-    space = JointSpace(ROBOT)
-    positions, velocities, _, wanted = draw(space, 3)
-    equations = space.equations(positions, velocities)
-    efforts = equations.mass @ wanted + equations.bias
-    for index, joint in enumerate(space.joints):
-        alone = decoupled_effort(space, joint, positions, velocities, efforts, wanted[index])
-        assert alone == pytest.approx(efforts[index], abs=1e-9)
-
-
-def test_own_measured_effort_does_not_count():
-    space = JointSpace(ROBOT, DRIVE)
-    positions, velocities, efforts, _ = draw(space, 4)
-    share = DecouplingShare(RobotDynamics(space), "arm_joint_3")
-    first = share.term(RobotState(positions, velocities, efforts))
-    efforts[space.joints.index("arm_joint_3")] += 17.0
-    assert share.term(RobotState(positions, velocities, efforts.copy())) == first
-
-
 def test_gravity_is_that_of_pinocchio_and_a_rolling_base_feels_none():
     space = JointSpace(ROBOT, DRIVE, payload_mass=0.7)
     positions, velocities, efforts, _ = draw(space, 5)
@@ -166,15 +146,6 @@ def test_gravity_is_that_of_pinocchio_and_a_rolling_base_feels_none():
         assert gain == 1.0
         assert effort == pytest.approx(expected[joint], abs=1e-12)
     assert expected[DRIVE.left] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_wheel_on_the_ground_moves_the_robot():
-    """A wheel of the rolling robot has the inertia of half its mass at the wheel's radius."""
-    space = JointSpace(ROBOT, DRIVE)
-    rest = RobotState((0.0,) * 8, (0.0,) * 8, (0.0,) * 8)
-    gain, _ = DecouplingShare(RobotDynamics(space), DRIVE.left).term(rest)
-    alone, _ = DecouplingShare(RobotDynamics(JointSpace(ROBOT)), DRIVE.left).term(rest)
-    assert alone < 0.02 < 0.05 < gain < 0.08
 
 
 def test_a_scaled_model_has_scaled_gravity_and_the_same_rotors():

@@ -29,10 +29,6 @@ SMOOTH = re.sub(r'friction="[0-9.]+"', 'friction="0"', ROBOT)  # no Coulomb fric
 JOINTS = tuple(RobotDescription.load(ROBOT).joints)
 START = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
 UNIT = {"gains.p": 300.0, "gains.i": 1000.0, "gains.d": 30.0}  # three poles at -10 rad/s
-# What the same poles are without decoupling: on the effective inertias of the initial pose.
-INERTIA = dict(
-    zip(JOINTS, (0.064, 0.064, 0.132, 0.415, 0.214, 0.0252, 0.0252, 0.0069), strict=True)
-)
 ROLLING = {"model.left_wheel": "wheel_left_joint", "model.right_wheel": "wheel_right_joint"}
 
 
@@ -85,28 +81,9 @@ def test_on_the_rolling_base_every_arm_joint_does_so_too():
     """With filtered velocities, and wheels that spin the robot: 3 mrad of 0.2 rad."""
     values = {**UNIT, **ROLLING, "velocity_filter_time_constant": 0.005}
     loops = [settings(joint, **values, compensation="decoupling") for joint in JOINTS]
-    found = run(SMOOTH, loops, dict.fromkeys(JOINTS, 0.2), 0.8, fixed_base=False)
-    expected = step_of_a_unit_double_integrator(0.2, 0.8, velocity_filter_time_constant=0.005)
+    found = run(SMOOTH, loops, dict.fromkeys(JOINTS, 0.2), 0.4, fixed_base=False)
+    expected = step_of_a_unit_double_integrator(0.2, 0.4, velocity_filter_time_constant=0.005)
     assert np.max(np.abs(found - expected[:, None])[:, 2:]) < 3e-3
-
-
-def test_a_decoupled_joint_does_not_feel_what_another_one_does():
-    step = {"arm_joint_2": 0.3}
-    others = [index for index, joint in enumerate(JOINTS) if joint not in step]
-    decoupled = [settings(joint, **UNIT, compensation="decoupling") for joint in JOINTS]
-    plain = [
-        settings(
-            joint,
-            **{name: gain * INERTIA[joint] for name, gain in UNIT.items()},
-            compensation="gravity",
-        )
-        for joint in JOINTS
-    ]
-    felt, felt_plainly = (
-        np.max(np.abs(run(SMOOTH, loops, step, 0.5)[:, others])) for loops in (decoupled, plain)
-    )
-    assert felt < 0.1 * felt_plainly
-    assert felt < 1e-3
 
 
 def test_gravity_compensation_alone_holds_the_arm():

@@ -7,7 +7,7 @@ from harness.engines import INSTALLED
 
 from hpid_ros.simulation import world
 
-WORLDS = ("test_world", "test_drives", "test_disturbances", "test_gripper", "test_sensors")
+WORLDS = ("test_world", "test_drives", "test_disturbances", "test_gripper")
 
 
 @pytest.fixture(autouse=True)

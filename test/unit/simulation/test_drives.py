@@ -222,7 +222,7 @@ def test_a_run_with_everything_on_converges_with_the_physics_step():
     def track(steps: int) -> np.ndarray:
         with World(on_stand(everything, physics_steps=steps)) as world:
             positions = []
-            for period in range(200):
+            for period in range(80):
                 world.step([2.0 * math.sin(0.05 * period)])
                 positions.append(world.true_positions()[0])
             return np.array(positions)
