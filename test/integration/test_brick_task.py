@@ -232,10 +232,6 @@ def test_the_bridge_gets_the_same_scene(written, tmp_path):
             "'brick' is twice",
         ),
         ({"scene__gripper": {"angle_tolerance": 2.0}}, "above 0 and at most 0.785398"),
-        (
-            {"scene__bricks__brick__position": [2.0, 0.0, 0.23]},
-            r"brick 'brick', pick: payload cannot be put at \(2\.000",
-        ),
     ],
 )
 def test_an_experiment_that_cannot_be_done_is_one_line(written, changes, line):
