@@ -83,7 +83,7 @@ endif
 
 # Longer: HPID_SOAK_MINUTES=60, python -m benchmarks.faults --minutes 10
 faults: $(VENV)/.test-installed
-	$(call parts,faults,test/faults $(call with, faults))
+	$(call parts,faults,test/faults $(call with,[ .]faults))
 
 repository: $(VENV)/.test-installed
 	$(PYTEST) $(SPREAD) -m repository -q $(call with,mark.repository) $(ARGS)

@@ -53,6 +53,7 @@ def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, ca
     assert running_graph().controllers["turn"].settings == settings
 
 
+@pytest.mark.faults
 def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
     start_turntable(harness, tmp_path, "lockstep")
     graph = running_graph()

@@ -55,6 +55,7 @@ def read_estimates(file):
     return {name: each["value"] for name, each in joint["estimates"].items()}
 
 
+@pytest.mark.faults
 def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness, tmp_path):
     start_turntable(harness, tmp_path, "lockstep")
     graph = running_graph()

@@ -189,6 +189,7 @@ def test_a_goal_outlives_its_client(joints):
     assert Client(joints).follow(there())[0] == SUCCEEDED
 
 
+@pytest.mark.faults
 def test_a_controller_that_dies_aborts_the_goal_and_the_others_stop(joints):
     processes = joints.start(composed=False)
     client = Client(joints)
@@ -205,6 +206,7 @@ def test_a_controller_that_dies_aborts_the_goal_and_the_others_stop(joints):
     assert joints.references["shoulder"][-1][1] < 0.9
 
 
+@pytest.mark.faults
 def test_a_server_that_is_ended_stops_the_joints_and_tells_its_client(joints):
     processes = joints.start()
     client = Client(joints)
@@ -219,6 +221,7 @@ def test_a_server_that_is_ended_stops_the_joints_and_tells_its_client(joints):
     require_smooth(joints, 1.5, 6.0)
 
 
+@pytest.mark.faults
 def test_a_server_that_stands_still_leaves_the_joints_on_their_way_to_rest(joints):
     told = Told(joints.harness, ACTION)
     processes = joints.start(constraints__elbow__goal=0.01)
@@ -238,6 +241,7 @@ def test_a_server_that_stands_still_leaves_the_joints_on_their_way_to_rest(joint
     require_smooth(joints, 1.5, 6.0)
 
 
+@pytest.mark.faults
 def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(joints):
     joints.start(state_timeout=1.0)
     client = Client(joints)
@@ -254,6 +258,7 @@ def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(jo
     assert joints.references["shoulder"][-1][1] < 0.9
 
 
+@pytest.mark.faults
 def test_of_a_flood_of_goals_the_last_one_is_followed_and_each_has_its_result(joints):
     joints.start(constraints__shoulder__goal=0.01)
     client = Client(joints)
@@ -291,6 +296,7 @@ def test_whatever_a_cancel_of_all_goals_says_it_cancels_ends(joints):
             assert client.result(handle)[0] in (CANCELED, ABORTED)
 
 
+@pytest.mark.faults
 def test_of_two_servers_of_the_same_joints_the_first_gives_way(joints):
     told = Told(joints.harness, ACTION)
     joints.start(state_timeout=10.0)

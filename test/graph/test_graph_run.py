@@ -127,6 +127,7 @@ def test_controllers_get_a_process_each_where_every_process_has_a_core():
         assert tuple(options.for_joints(8, cores).processes for cores in (8, 9)) == kind
 
 
+@pytest.mark.faults
 def test_a_killed_controller_leaves_the_others_at_work(experiment_file, tmp_path):
     """Its joint gets no effort, the run says so, and nobody else misses a sample."""
     experiment = load_experiment(
@@ -154,6 +155,7 @@ def test_a_killed_controller_leaves_the_others_at_work(experiment_file, tmp_path
     assert last.ros_msg.effort[last.ros_msg.name.index("arm_joint_2")] == 0.0
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("node", ["mujoco_bridge", "bag_recorder"])
 def test_a_run_that_loses_what_it_cannot_do_without_fails_in_one_line(
     experiment_file, tmp_path, node
@@ -211,6 +213,7 @@ def processes_below(pid):
     return [int(each) for each in below.stdout.split()]
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
     experiment_file, tmp_path, number

@@ -141,6 +141,7 @@ def test_a_button_that_was_released_before_there_is_a_process_is_gone_at_once(pi
         assert dead_man.is_gone
 
 
+@pytest.mark.faults
 def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
     order = bench.order("held")
     began = wait_for_rest(bench.harness)
@@ -173,6 +174,7 @@ def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
     wait_for_rest(bench.harness)
 
 
+@pytest.mark.faults
 def test_a_press_cannot_move_a_stopped_joint(bench):
     motion = HeldMotion(*bench.order("pressed"))
     bench.reach(motion, lambda: motion.stage == "ready")
@@ -191,6 +193,7 @@ def test_a_press_cannot_move_a_stopped_joint(bench):
     assert np.ptp(positions(bench.harness, 1.0)) < 1e-3
 
 
+@pytest.mark.faults
 def test_a_motion_that_is_let_go_after_its_joint_was_stopped_ends_at_once(bench):
     motion = HeldMotion(*bench.order("released"))
     bench.reach(motion, lambda: motion.stage == "ready")

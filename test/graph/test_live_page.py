@@ -95,6 +95,7 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page):
     logged(page, "trial: cancelled")
 
 
+@pytest.mark.faults
 def test_stop_ends_what_is_ready_and_a_press_cannot_move_a_stopped_joint(harness, page):
     page.get_by_role("tab", name="Try").click()
     hold = hold_button(page)
@@ -167,6 +168,7 @@ def hold_until(page, label, stage):
         page.mouse.up()
 
 
+@pytest.mark.faults
 def test_a_page_that_is_ended_during_a_trial_sets_back_what_was_tried(harness, tuner, page):
     before = GAINS["gains__p"]
     type_into(page, "proportional gain", before + 5.0)

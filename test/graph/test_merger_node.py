@@ -162,6 +162,7 @@ def are_there(control, joints=ORDER):
     return all(abs(control.hardware[j].position - TARGETS[j]) < 0.01 for j in joints)
 
 
+@pytest.mark.faults
 def test_controllers_drive_a_group_and_one_of_them_is_killed_or_stopped_and_comes_back(
     harness, control, told
 ):
@@ -449,6 +450,7 @@ def leaving(harness, control):
         yield Leaving(control, Commander(harness), heard)
 
 
+@pytest.mark.faults
 def test_a_process_that_is_stopped_or_ends_leaves_with_zeros_again_and_again(harness, leaving):
     process = start_merger(harness, fade_in_time=0.0).process
     leaving.drive()

@@ -66,6 +66,7 @@ def test_one_command_starts_robot_controllers_and_page_and_ends_them(harness, pl
     assert "Traceback" not in process.stderr.read()
 
 
+@pytest.mark.faults
 def test_a_node_that_dies_ends_the_others_with_one_line(harness, play):
     process, _ = play("--no-page", "--no-window")
     nodes = nodes_of(process)

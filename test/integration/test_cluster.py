@@ -73,6 +73,7 @@ def written(folder):
     return [(folder / name).read_bytes() for name in WRITTEN]
 
 
+@pytest.mark.faults
 def test_what_is_lost_of_a_cluster_changes_no_number(
     cluster, studied, tmp_path, capsys, monkeypatch
 ):
