@@ -33,10 +33,9 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics, InverseDynamics
 from hpid_ros.simulation.engine import Recording, record_run
 from hpid_ros.simulation.world import World
-from hpid_ros.tuning.identify import identify
+from hpid_ros.tuning.identify import JointIdentification, identify
 from hpid_ros.tuning.joint_record import JointRecord
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
-from hpid_ros.tuning.term_selection import JointIdentification
 
 ROBOTS = ("paper", "iiwa", "panda")
 PERIOD = 1e-3  # [s]

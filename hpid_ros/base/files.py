@@ -9,6 +9,7 @@ below the environment's prefix) and in a ROS installation (below the ament prefi
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import secrets
@@ -16,6 +17,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from hpid_ros.base.errors import HpidError, ResultExistsError, SettingError
 
@@ -79,6 +81,17 @@ def write_file(path: Path, content: str | bytes) -> None:
 
 
 _AMENT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+def load_json(path: Path) -> Any:
+    """Return what a JSON file says."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise SettingError(f"cannot read {path}: {reason}") from None
+    except (ValueError, RecursionError) as error:
+        raise SettingError(f"{path} is no JSON: {error}") from None
 
 
 def package_folder(name: str) -> Path | None:

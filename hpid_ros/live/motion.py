@@ -34,10 +34,9 @@ from hpid_ros.motion.excitation import (
     inertia_from_gains,
 )
 from hpid_ros.tuning.autotune import RelayCycle, relay_cycle
-from hpid_ros.tuning.identify import identify
+from hpid_ros.tuning.identify import JointIdentification, identify
 from hpid_ros.tuning.joint_record import JointRecord
 from hpid_ros.tuning.regression import DELAY, INERTIA
-from hpid_ros.tuning.term_selection import JointIdentification
 
 HELD_WITHIN = 0.4
 """Longest time between two presses, in [s]; who holds the button presses several times in it."""

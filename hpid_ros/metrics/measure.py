@@ -6,7 +6,6 @@ numbers, repeats folded, all beside the baseline.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.base.files import load_json
 from hpid_ros.base.names import is_label
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.messages import read_robot_descriptions
@@ -307,17 +307,6 @@ def _section(document: object, key: str) -> Mapping[str, Any]:
     """Return a mapping within a document, which may be anybody's; nothing where there is none."""
     found = document.get(key) if isinstance(document, dict) else None
     return found if isinstance(found, dict) else {}
-
-
-def load_json(path: Path) -> Any:
-    """Return what a JSON file says."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SettingError(f"cannot read {path}: {reason}") from None
-    except (ValueError, RecursionError) as error:
-        raise SettingError(f"{path} is no JSON: {error}") from None
 
 
 def _label_in_metadata(path: Path) -> str | None:

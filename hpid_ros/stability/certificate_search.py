@@ -36,6 +36,7 @@ from hpid_ros.stability.closed_loop import (
     CertifiedSpan,
     DegreeInterval,
     Norm,
+    as_matrix,
     canonical_values,
     effective_gains,
     norm_values,
@@ -264,7 +265,7 @@ _LEAST_RADIUS = 1e-4
 _DIFFERENCE = 1e-6
 _STEEP = 1e3 * _DIFFERENCE  # stands for the slope into what is not allowed
 _LEAST_GAIN = 0.03
-_STALLED = 3  # steps without that gain
+_STALLED, _MOST_MOVES = 3, 40  # steps without that gain, and in all
 _ACTIVE = 200  # points that a linear program looks at
 _STRETCH = np.tril_indices(3)
 
@@ -327,7 +328,6 @@ def improved(
     *,
     enough: float = -np.inf,
     relative: bool = False,
-    steps: int = 40,
 ) -> Numbers:
     """Return a shape nearby with a lower worst rate.
 
@@ -339,7 +339,7 @@ def improved(
     values = _values(grids, shape, relative)
     if not np.isfinite(values).all():
         return shape
-    for _ in range(steps):
+    for _ in range(_MOST_MOVES):
         value = values.max()
         if value < enough or radius < _LEAST_RADIUS or stalled == _STALLED:
             break
@@ -553,7 +553,7 @@ class CertificateSearch:
         return CertifiedSpan(
             inertia=self._inertia,
             norms=tuple(self.norm(degree) for degree in sorted(degrees)),
-            shape=tuple(tuple(float(x) for x in row) for row in physical),
+            shape=as_matrix(physical),
             rate=-worst * unit,
         )
 

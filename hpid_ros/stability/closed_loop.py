@@ -176,6 +176,11 @@ def state_norm(shape: ArrayLike, degree: float, states: ArrayLike) -> Numbers:
 
 Matrix = tuple[tuple[float, ...], ...]
 
+
+def as_matrix(values: Numbers) -> Matrix:
+    return tuple(map(tuple, values.tolist()))
+
+
 FORMAT = "hpid_ros certificate 1"
 
 

@@ -27,7 +27,7 @@ from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
     DegreeInterval,
-    Matrix,
+    as_matrix,
     effective_gains,
 )
 from hpid_ros.stability.gain_check import Loop, certified_degrees, kind_of, physical_units
@@ -146,7 +146,9 @@ def _range(
     boxes = []
     for span, (factor, shape) in sorted(found, key=lambda each: each[0].lower):
         norms = tuple(family(norm.degree) for norm in span.norms)
-        own = replace(span, norms=norms, shape=_rows(shape / np.multiply.outer(to_own, to_own)))
+        own = replace(
+            span, norms=norms, shape=as_matrix(shape / np.multiply.outer(to_own, to_own))
+        )
         p, i, d = ((gain / factor, gain * factor) for gain in (gains.p, gains.i, gains.d))
         widest = _widest(settings, factor)
         rate_time = time / widest, time * widest
@@ -160,10 +162,6 @@ def _range(
     return ranges
 
 
-def _rows(shape: Numbers) -> Matrix:
-    return tuple(tuple(float(value) for value in row) for row in shape)
-
-
 def _box(task: _Task) -> _Found | None:
     """Return the largest box that is found: each from the P of the one before."""
     settings, inertia, span = task
@@ -174,7 +172,7 @@ def _box(task: _Task) -> _Found | None:
             break
         found.append((factor, shape))
     for factor, shape in reversed(found):
-        own = replace(span, shape=_rows(shape))
+        own = replace(span, shape=as_matrix(shape))
         try:
             for corner in _corners(settings, inertia, own, factor):
                 check_certificate(corner)

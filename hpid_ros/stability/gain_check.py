@@ -7,9 +7,9 @@ one joint that differ in their degree. Each kind is computed once, the kinds on 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hpid_ros.base.errors import GainError, NormError, SettingError
+from hpid_ros.base.files import load_json
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains, is_hurwitz
@@ -28,7 +29,7 @@ from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
     DegreeInterval,
-    Matrix,
+    as_matrix,
     effective_gains,
     state_norm,
 )
@@ -123,19 +124,16 @@ def _in_physical_units(
     ends = [least, largest] if len(certificate.inertias) > 1 else [largest]
     physical = dict(zip(certificate.inertias, sorted([*ends, *middle]), strict=True))
 
-    def converted(span: CertifiedSpan) -> CertifiedSpan:
-        shape: Matrix = tuple(
-            tuple(float(value / (units[i] * units[j])) for j, value in enumerate(row))
-            for i, row in enumerate(span.shape)
+    spans = tuple(
+        CertifiedSpan(
+            physical[span.inertia],
+            tuple(family(norm.degree) for norm in span.norms),
+            as_matrix(np.array(span.shape) / np.multiply.outer(units, units)),
+            span.rate * rate,
         )
-        norms = tuple(family(norm.degree) for norm in span.norms)
-        return CertifiedSpan(physical[span.inertia], norms, shape, span.rate * rate)
-
-    return DegreeInterval(
-        interval.lower,
-        interval.upper,
-        Certificate(gains, tuple(converted(span) for span in certificate.spans)),
+        for span in certificate.spans
     )
+    return DegreeInterval(interval.lower, interval.upper, Certificate(gains, spans))
 
 
 _GAIN_DIGITS = 9
@@ -194,6 +192,7 @@ LARGEST_SAMPLING_MARGIN, LARGEST_SAMPLING_MARGIN_LATE = 2.0, 0.85
 as over a topic."""
 
 _NEGLIGIBLE_DEGREE = 1e-100  # a quotient of two such numbers has no digits
+_SETTLED = 0.01  # of the first value
 
 
 def integral_ratio(gains: Gains, inertia: float = 1.0) -> float:
@@ -203,16 +202,6 @@ def integral_ratio(gains: Gains, inertia: float = 1.0) -> float:
     """
     product = gains.p * gains.d
     return inertia * gains.i / product if product > 0.0 else math.inf
-
-
-def multiplier_range(degree: float, floor: float, cap: float) -> tuple[float, float]:
-    """Return the least and the largest factor of the bandwidth, lam = n^mu.
-
-    The derivative gain is multiplied by lam, the proportional one by its square, the integral
-    one by its cube. Source: the paper, equation (8).
-    """
-    least, largest = sorted((_power(floor, degree), _power(cap, degree)))
-    return least, largest
 
 
 def sampling_margin(
@@ -227,57 +216,33 @@ def sampling_margin(
 
 
 def decay_time(degree: float, decay: float, start: float, end: float) -> float:
-    r"""Return how long :math:`\dot V = -\beta V^{1+\mu}` takes from one value to another.
-
-    Finite down to 0 for a negative degree, finite from infinity for a positive one, and the
-    logarithm of the ratio for degree zero: the three classes of convergence.
-    """
-    if not decay > 0.0 or not 0.0 <= end < start:
-        raise SettingError(
-            f"the decay must be positive and 0 <= end < start, not {decay}, {end}, {start}"
-        )
-    if end == 0.0 or start == math.inf:
-        at_end, at_start = (_power(each, -degree) for each in (end, start))
-        return (at_end - at_start) / (decay * degree) if degree != 0.0 else math.inf
+    r"""Return how long :math:`\dot V = -\beta V^{1+\mu}` takes from one value to another."""
     logarithm = math.log(start / end)
     if abs(degree) < _NEGLIGIBLE_DEGREE:
         return logarithm / decay
     # end^-mu - start^-mu, without the loss of digits for a small degree.
-    return _power(end, -degree) * -math.expm1(-degree * logarithm) / (decay * degree)
+    return math.pow(end, -degree) * -math.expm1(-degree * logarithm) / (decay * degree)
 
 
 def settling_time_bound(
     certificate: Certificate,
     norm: WeightedNorm | CanonicalNorm,
     state: tuple[float, float, float],
-    remaining: float = 0.01,
 ) -> float:
     """Return a time after which the ideal loop has settled for certain, in [s].
 
-    Settled means that the canonical norm V of the certificate's P is below ``remaining`` times
-    its first value, for every certified inertia. The bound is what the certificate proves, and
-    hence larger than what a simulation shows.
+    Settled means that the canonical norm V of the certificate's P is below a hundredth of its
+    first value, for every certified inertia. The bound is what the certificate proves, and hence
+    larger than what a simulation shows.
 
     Source: along the closed loop dV/dt <= -beta V^{1+mu} with beta the least of -x'Pf/x'PGx on
     the sphere. (The paper's bound of the rate takes lambda_min where lambda_max is needed.)
     """
-    if not any(state) or not 0.0 <= remaining < 1.0:
-        raise SettingError(
-            f"the state must not be zero and remaining must lie in [0, 1), "
-            f"not {state}, {remaining}"
-        )
     times = []
     for span, margins in best_spans(certificate, norm):
         start = float(state_norm(span.shape, norm.degree, state))
-        times.append(decay_time(norm.degree, margins.decay, start, remaining * start))
+        times.append(decay_time(norm.degree, margins.decay, start, _SETTLED * start))
     return max(times)
-
-
-def _power(base: float, exponent: float) -> float:
-    """Return base^exponent, with the limits at zero and infinity."""
-    if base == 0.0 and exponent < 0.0:
-        return math.inf
-    return math.pow(base, exponent)
 
 
 LARGEST_NORM = 2.0
@@ -332,7 +297,7 @@ def _verdict(
     if isinstance(found, DegreeInterval):
         interval, certificate = (found.lower, found.upper), found.certificate.to_mapping()
         if found.contains(degree):
-            bound = _settling_bound(settings, degree, inertia, found.certificate)
+            bound = _settling_bound(settings, inertia, found.certificate)
         elif settings.law == "hpid":
             reason = f"mu = {degree:g} is outside the certified interval"
     else:  # Hurwitz decides for the linear law
@@ -356,16 +321,14 @@ def _verdict(
 
 
 def _settling_bound(
-    settings: LoopSettings, degree: float, inertia: tuple[float, float], certificate: Certificate
+    settings: LoopSettings, inertia: tuple[float, float], certificate: Certificate
 ) -> float:
     """Return the bound by a certificate of this degree alone, which is tighter than a span's."""
     family = settings.norm_family
-    norm, start = family(degree), (family.error_scale, 0.0, 0.0)
-    try:
-        own = certify_degree(settings.gains, norm, inertia)
-    except GainError:  # it was found from its neighbours only
-        own = certificate
-    return settling_time_bound(own, norm, start)
+    norm = family(settings.degree)
+    with suppress(GainError):  # it was found from its neighbours only
+        certificate = certify_degree(settings.gains, norm, inertia)
+    return settling_time_bound(certificate, norm, (family.error_scale, 0.0, 0.0))
 
 
 def inertia_of(
@@ -388,10 +351,16 @@ def inertia_of(
 
 
 def _multipliers(settings: LoopSettings) -> tuple[float, float]:
-    if settings.degree == 0.0:
-        return 1.0, 1.0
+    """Return the least and the largest factor of the bandwidth, lam = n^mu.
+
+    The derivative gain is multiplied by lam, the proportional one by its square, the integral
+    one by its cube. Source: the paper, equation (8).
+    """
     cap = min(settings.norm.cap, LARGEST_NORM)
-    return multiplier_range(settings.degree, min(settings.norm_floor, cap), cap)
+    floor, degree = min(settings.norm_floor, cap), settings.degree
+    at_floor = math.inf if floor == 0.0 and degree < 0.0 else math.pow(floor, degree)
+    least, largest = sorted((at_floor, math.pow(cap, degree)))
+    return least, largest
 
 
 CERTIFICATES = "certificates"
@@ -428,13 +397,7 @@ def saved_certificates(path: Path) -> dict[str, list[Mapping[str, Any]]]:
     """Return the certificates of a file by name; empty when it is another kind of file."""
     if path.suffix != ".json":
         return {}
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SettingError(f"cannot read {path}: {reason}") from None
-    except (ValueError, RecursionError) as error:
-        raise SettingError(f"cannot read {path}: {error}") from None
+    document = load_json(path)
     found = document.get(CERTIFICATES) if isinstance(document, Mapping) else None
     if not isinstance(found, Mapping):
         return {}

@@ -27,6 +27,7 @@ from hpid_ros.report.plots import (
     plain_ticks,
 )
 from hpid_ros.report.table import UNDEFINED, TableColumn, WideTable
+from hpid_ros.tuning.identify import Fit, JointIdentification
 from hpid_ros.tuning.regression import (
     COULOMB,
     DELAY,
@@ -41,7 +42,6 @@ from hpid_ros.tuning.regression import (
     Estimate,
 )
 from hpid_ros.tuning.robot_identification import MovedInertia, RobotIdentification
-from hpid_ros.tuning.term_selection import Fit, JointIdentification
 
 _DIGITS = 4
 _RATIO = 100.0

@@ -1,10 +1,14 @@
-"""Inertia, friction, gravity, load and delay of joints from their recorded motion and efforts."""
+"""Inertia, friction, gravity, load and delay of joints from their recorded motion and efforts.
+
+From a joint's equation to numbers: which terms the data carry, and what they cannot tell.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +16,342 @@ from numpy.typing import NDArray
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import Numbers
 from hpid_ros.tuning.joint_record import JointRecord, Kernel, Rows, Span
-from hpid_ros.tuning.regression import INERTIA, Equation, Model, RigidBody
-from hpid_ros.tuning.term_selection import JointIdentification, findings, nothing
+from hpid_ros.tuning.regression import (
+    COULOMB,
+    DELAY,
+    EFFORT_SCALE,
+    GRAVITY_COS,
+    GRAVITY_SIN,
+    INERTIA,
+    OFFSET,
+    PARAMETERS,
+    SPIN,
+    STRIBECK,
+    VISCOUS,
+    Equation,
+    Estimate,
+    Model,
+    RigidBody,
+    Solution,
+)
+
+
+class Fit(NamedTuple):
+    """How a joint's efforts are explained, row by row; NaN between spans."""
+
+    time: Numbers  # [s] (R,)
+    measured: Numbers  # [N m] effort at the joint's motion, smoothed and freed of the delay, (R,)
+    predicted: Numbers  # [N m] what the estimates say of it, (R,)
+    # whether the row counted; where the direction is in doubt it does not, (R,)
+    is_used: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class JointIdentification:
+    """What was found of one joint."""
+
+    joint: str  # its name
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    unreliable: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()  # what to know of all the numbers
+    method: str = ""  # how, in a few words
+    why: str = ""  # the reason for the method, in a few words
+    cutoff: float = 0.0  # [Hz] of the low pass
+    rows: int = 0  # rows that counted
+    time: float = 0.0  # [s] time that they stand for
+    stribeck_speed: float = 0.0  # [rad/s] speed at which Stribeck friction has fallen to 1/e
+    residual: float = 0.0  # [N m] root mean square of what is not explained
+    explained: float = 0.0  # share of the effort's variance that is explained
+    condition: float = 0.0  # condition number of the scaled columns
+    travel: float = 0.0  # [rad] how far the joint moved between its ends
+    speed: float = 0.0  # [rad/s] largest speed
+    acceleration: float = 0.0  # [rad/s^2] largest acceleration
+    effort_limit: float = math.inf  # [N m] largest that the drive gives; inf if not seen
+    fit: Fit | None = None  # to draw
+
+    @property
+    def is_found(self) -> bool:
+        return bool(self.estimates)
+
+    def reliable(self, name: str) -> Estimate | None:
+        """Return an estimate that can be relied on; None if there is none."""
+        found = self.estimates.get(name)
+        return found if found is not None and found.is_reliable else None
+
+
+_CHANCE = 0.01  # of seeing a term that is not there
+_ONE_WAY = 0.05  # of the rows: fewer are no motion in the other direction
+_STRIBECK_SPEEDS = (0.05, 0.1, 0.2, 0.35)  # of the largest speed
+_CREEPING = 0.1  # of the rows
+_LEAST_EXPLAINED = 0.5
+_FELT = 0.01  # of the effort's standard deviation
+_SHARED = 100.0
+_MOST_SPIN = 2.0  # of what the gears' ratios say; more is something else
+_USEFUL_SCALE = 0.2
+_OTHER_UNIT = 0.05
+_REVERSED = (
+    "the effort's scale is negative, what was recorded pushes against the motion that it causes: "
+    "motor, encoder or recording has the other sign; under a controller the joint would run away"
+)
+_NO_UNIT = (
+    "it is not 1: the masses are others, a load is carried, or the efforts are in another unit "
+    "(effort unit any)"
+)
+_ON_DOUBTED_SCALE = (
+    "it stands on the efforts' scale, which is doubted; effort unit any takes the scale as found"
+)
+_INSTRUMENTS = {True: "answer to the reference", False: "samples between"}
+_ALIKE = {
+    INERTIA: "inertia",
+    VISCOUS: "viscous friction",
+    COULOMB: "Coulomb friction",
+    STRIBECK: "Stribeck friction",
+    GRAVITY_SIN: "gravity",
+    GRAVITY_COS: "gravity",
+    OFFSET: "a constant load",
+    EFFORT_SCALE: "the effort's scale",
+    DELAY: "the delay",
+    SPIN: "the rotors' spin",
+}
+_HELP = {
+    INERTIA: "reverse faster: a sine of 1 to 3 Hz, or a multisine",
+    VISCOUS: "move at several speeds up to the joint's limit, also for long",
+    COULOMB: "move both ways, well above creeping, with a few reversals a second",
+    STRIBECK: "creep, both ways",
+    GRAVITY_SIN: "move through a larger angle, more than a radian",
+    GRAVITY_COS: "move through a larger angle, more than a radian",
+    OFFSET: "move both ways",
+    EFFORT_SCALE: "move links with mass, through poses with different gravity",
+    DELAY: "reverse faster: a sine of 1 to 3 Hz, or a multisine",
+}
+_UNFELT = f"the links are hardly felt: {_HELP[EFFORT_SCALE]}"
+
+
+def nothing(record: JointRecord, reason: str) -> JointIdentification:
+    """Return that nothing could be found."""
+    unreliable = {record.joint: reason}
+    return JointIdentification(record.joint, unreliable=unreliable, travel=record.travel)
+
+
+def findings(equation: Equation, has_scale: bool) -> JointIdentification:
+    """Return what an equation says of its joint."""
+    choice, rows = _chosen(equation, has_scale), equation.rows
+    joint = rows.record.joint
+    used = equation.weight > 0.0
+    position, velocity, acceleration = equation.halves.mean(axis=0)
+    effort = equation.effort(choice.delay)
+    level = max(float(np.var(effort[used])), 1e-300)
+    explained = 1.0 - choice.fit.rms**2 / level
+    facts = JointIdentification(
+        joint,
+        method="instrumental variables",
+        why=_why(equation, choice),
+        remarks=_remarks(choice),
+        cutoff=rows.kernel.cutoff,
+        rows=equation.used_rows,
+        time=equation.used_rows * float(np.median(np.diff(rows.times))),
+        stribeck_speed=choice.model.stribeck_speed,
+        residual=choice.fit.rms,
+        explained=max(explained, 0.0),
+        condition=choice.fit.condition,
+        travel=float(np.ptp(position[used])),
+        speed=float(np.abs(velocity[used]).max()),
+        acceleration=float(np.abs(acceleration[used]).max()),
+        effort_limit=equation.limit,
+        fit=_drawn(equation, choice, effort),
+    )
+    if explained < _LEAST_EXPLAINED:
+        reason = (
+            f"its motion explains only {max(explained, 0.0):.0%} of its efforts: other joints "
+            "move it, it touches something, or these are not its efforts"
+        )
+        return replace(facts, unreliable={joint: reason})
+    estimates = _estimates(equation, choice)
+    scale = estimates.get(EFFORT_SCALE)
+    if scale is not None and scale.is_reliable and scale.high < 0.0:
+        facts = replace(facts, remarks=(*facts.remarks, _REVERSED))
+    unreliable = {name: each.reason for name, each in estimates.items() if each.reason}
+    if not choice.model.has_coulomb:
+        unreliable[COULOMB] = (
+            "it moved in one direction only, in which friction is a constant load: "
+            f"{_HELP[COULOMB]}"
+        )
+    if equation.rigid is None and not choice.model.has_gravity:
+        unreliable[GRAVITY_SIN] = (
+            f"over {facts.travel:.2g} rad it is no other than a constant load, or there is none: "
+            f"{_HELP[GRAVITY_SIN]}"
+        )
+    return replace(facts, estimates=estimates, unreliable=unreliable)
+
+
+def _why(equation: Equation, choice: Solution) -> str:
+    halves = equation.halves[:, 2]
+    noise = float(np.var(halves[0] - halves[1])) / 4.0
+    share = noise / max(float(np.var(halves.mean(axis=0))), 1e-300)
+    used = _INSTRUMENTS[equation.uses_reference(choice.model, choice.delay)]
+    return f"noise {share:.1g} of the acceleration's variance, instruments: {used}"
+
+
+def _chosen(equation: Equation, has_scale: bool) -> Solution:
+    """Choose the terms, one after the other, by whether the data carry them."""
+    used = equation.weight > 0.0
+    backward = float(np.mean(equation.sign[used] < 0.0))
+    is_free = equation.rigid is None
+    model = Model(
+        has_coulomb=_ONE_WAY <= backward <= 1.0 - _ONE_WAY,
+        has_gravity=is_free,
+        has_scale=has_scale and not is_free,
+    )
+    delay = equation.coarse_delay(model)
+    equation.choose_instruments(model, delay)
+    choice = equation.solve(model, delay)
+    if is_free and not _is_gravity(equation, choice):
+        model = model._replace(has_gravity=False)
+        choice = equation.solve(model, choice.delay)
+    if equation.spin is not None:
+        choice = _with_spin(equation, choice)
+    return _with_stribeck(equation, choice) if model.has_coulomb else choice
+
+
+def _is_gravity(equation: Equation, choice: Solution) -> bool:
+    """Return whether a part of the effort changes with the position, and not by chance."""
+    used = equation.weight > 0.0
+    position = equation.halves.mean(axis=0)[0][used]
+    a, b = choice.value(GRAVITY_SIN), choice.value(GRAVITY_COS)
+    part = np.std(a * np.sin(position) + b * np.cos(position))
+    is_felt = bool(part > _FELT * np.std(equation.effort(choice.delay)[used]))
+    return is_felt and choice.probability_of_none(GRAVITY_SIN, GRAVITY_COS) < _CHANCE
+
+
+def _with_spin(equation: Equation, plain: Solution) -> Solution:
+    """Add what rotors need beside their inertia if the data carry it, either way they may turn."""
+    choice = equation.solve(plain.model._replace(has_spin=True), plain.delay)
+    is_likely = abs(choice.value(SPIN)) < _MOST_SPIN
+    return choice if is_likely and choice.probability_of_none(SPIN) < _CHANCE else plain
+
+
+def _remarks(choice: Solution) -> tuple[str, ...]:
+    if not choice.model.has_spin:
+        return ()
+    share = f"{choice.value(SPIN):.2f} ±{choice.half_width(SPIN):.2f}"
+    return (
+        f"rotors spin on links that move: what they pull at this joint is {share} of what their "
+        "gears' ratios say",
+    )
+
+
+def _with_stribeck(equation: Equation, plain: Solution) -> Solution:
+    """Add Stribeck friction if the data carry it: less friction at speed than at creep."""
+    velocity = equation.halves.mean(axis=0)[1]
+    speeds = np.abs(velocity[equation.weight > 0.0])
+    fastest, slowest = float(speeds.max()), float(np.quantile(speeds, _CREEPING))
+    best = plain
+    for share in _STRIBECK_SPEEDS:
+        if share * fastest < slowest:  # nobody has seen it
+            continue
+        choice = equation.solve(plain.model._replace(stribeck_speed=share * fastest), plain.delay)
+        is_better = choice.value(STRIBECK) > 0.0 and choice.fit.rms < best.fit.rms
+        if is_better and choice.probability_of_none(STRIBECK) < _CHANCE:
+            best = choice
+    return best
+
+
+def _estimates(equation: Equation, choice: Solution) -> dict[str, Estimate]:
+    found = {
+        name: _estimate(equation, choice, name) for name in choice.model.names if name != SPIN
+    }
+    if choice.model.has_scale:
+        found = _scaled(found)
+    elif equation.rigid is not None:
+        found[EFFORT_SCALE] = _scale_beside(equation, choice)
+        if found[EFFORT_SCALE].reason == _NO_UNIT:
+            found |= {
+                name: replace(each, reason=each.reason or _ON_DOUBTED_SCALE)
+                for name, each in found.items()
+                if name != DELAY
+            }
+    return {name: found[name] for name in PARAMETERS if name in found}
+
+
+def _estimate(equation: Equation, choice: Solution, name: str) -> Estimate:
+    value = choice.delay if name == DELAY else choice.value(name)
+    width = choice.half_width(name)
+    return Estimate(value, width, _doubt(equation, choice, name, value, width))
+
+
+def _scale_beside(equation: Equation, choice: Solution) -> Estimate:
+    """Return the effort's scale, which a fit finds that leaves it free."""
+    free = equation.solve(choice.model._replace(has_scale=True), choice.delay)
+    inverse = _estimate(equation, free, EFFORT_SCALE)
+    scale = _scaled({EFFORT_SCALE: inverse})[EFFORT_SCALE]
+    if scale.is_reliable and (scale.low > 1.0 + _OTHER_UNIT or scale.high < 1.0 - _OTHER_UNIT):
+        level = float(np.std(equation.effort(choice.delay)[equation.weight > 0.0]))
+        is_felt = choice.fit.rms**2 - free.fit.rms**2 > (_FELT * level) ** 2
+        return replace(scale, reason=_NO_UNIT if is_felt else _UNFELT)
+    return scale
+
+
+def _scaled(found: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """Return estimates in the unit of the rigid bodies, from those in the efforts' own."""
+    inverse = found[EFFORT_SCALE]
+    scale = 1.0 / inverse.value if inverse.value else np.inf
+    share = inverse.half_width * abs(scale)
+    result = {}
+    for name, each in found.items():
+        if name == EFFORT_SCALE:
+            result[name] = Estimate(scale, share * abs(scale), each.reason)
+        elif name == DELAY:
+            result[name] = each
+        else:
+            width = float(np.hypot(each.half_width, each.value * share)) * abs(scale)
+            result[name] = Estimate(each.value * scale, width, each.reason)
+    return result
+
+
+def _doubt(equation: Equation, choice: Solution, name: str, value: float, width: float) -> str:
+    """Return why a number should not be relied on; empty if it may."""
+    if not np.isfinite(width):
+        return f"nothing can be said of its interval: {_HELP[name]}"
+    if name == DELAY:
+        if not equation.is_inside(value):
+            return f"the best is at the end of what was looked through, {value * 1e3:.3g} ms"
+        if width < equation.resolution:
+            return ""
+        return f"known to {width * 1e3:.2g} ms only{_like(choice, name)}: {_HELP[name]}"
+    if name in (OFFSET, GRAVITY_SIN, GRAVITY_COS):
+        return ""
+    if name == EFFORT_SCALE:
+        share = width / max(abs(value), 1e-300)
+        return "" if share < _USEFUL_SCALE else f"known to {share:.0%} only: {_HELP[name]}"
+    if value - width > 0.0:
+        return ""
+    about = "its interval is below zero" if value + width < 0.0 else "its interval contains zero"
+    return f"{about}{_like(choice, name)}: {_HELP[name]}"
+
+
+def _like(choice: Solution, name: str) -> str:
+    """Name the column that is most like another one, where that is what widens its interval."""
+    names, covariance = choice.model.names, choice.fit.covariance
+    place = names.index(name)
+    if choice.fit.sharing[place] < _SHARED:
+        return ""
+    deviation = np.maximum(choice.fit.deviations, 1e-300)
+    likeness = np.abs(covariance[place]) / (deviation * deviation[place])
+    likeness[place] = 0.0
+    return f", as its motion does not tell it from {_ALIKE[names[int(np.argmax(likeness))]]}"
+
+
+def _drawn(equation: Equation, choice: Solution, effort: Numbers) -> Fit:
+    times = equation.rows.times
+    is_between = times == 0.0  # no row is at the first sample
+    hole = np.where(is_between, np.nan, 1.0)
+    return Fit(
+        np.where(is_between, np.nan, times),
+        effort * hole,
+        equation.predicted(choice) * hole,
+        equation.weight > 0.0,
+    )
+
 
 _LEAST = 0.05  # of the largest command; less is no drive
 _LEVELS = 25
@@ -99,7 +437,7 @@ def identify(
         equations = {k: _equation(records, k, rigid_body, how, moving) for k in places}
         found = {k: _found(records[k], each, how) for k, each in equations.items()}
         if spin is not None:
-            found |= _with_spin(spin, equations, found, len(records), how)
+            found |= _identified_with_spin(spin, equations, found, len(records), how)
         return tuple(found.values())
     alone = []
     for each in (records[k] for k in places):
@@ -115,7 +453,7 @@ def _found(record: JointRecord, equation: Equation | str, how: Method) -> JointI
     return findings(equation, how.has_scale)
 
 
-def _with_spin(
+def _identified_with_spin(
     spin: Spin,
     equations: Mapping[int, Equation | str],
     found: Mapping[int, JointIdentification],

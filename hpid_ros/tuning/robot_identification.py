@@ -20,10 +20,9 @@ from hpid_ros.messages.series import MEASURED, JointSeries, RunSeries, seconds_s
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot
 from hpid_ros.robot.dynamics import Dynamics, InverseDynamics
-from hpid_ros.tuning.identify import Method, identify
+from hpid_ros.tuning.identify import JointIdentification, Method, identify, nothing
 from hpid_ros.tuning.joint_record import JointRecord
 from hpid_ros.tuning.regression import INERTIA
-from hpid_ros.tuning.term_selection import JointIdentification, nothing
 
 _STILL = 1e-3  # [m] and [rad]
 _WHEEL = "wheel"

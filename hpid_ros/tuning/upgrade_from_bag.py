@@ -29,7 +29,7 @@ from hpid_ros.robot.dynamics import inertia_ranges
 from hpid_ros.simulation.drives import LONGEST_DELAY
 from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.stability.margins import Margins, loop_family, margins_of
-from hpid_ros.tuning.loop_simulation import PHYSICS_STEPS, JointFacts, simulate
+from hpid_ros.tuning.identify import JointIdentification
 from hpid_ros.tuning.recorded_loops import recorded_controllers
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, OFFSET, STRIBECK, VISCOUS, Estimate
 from hpid_ros.tuning.robot_identification import (
@@ -42,7 +42,6 @@ from hpid_ros.tuning.robot_identification import (
     visited_poses,
     why_not_wheel,
 )
-from hpid_ros.tuning.term_selection import JointIdentification
 from hpid_ros.tuning.upgrade import (
     GOALS,
     Certifying,
@@ -54,7 +53,15 @@ from hpid_ros.tuning.upgrade import (
     propose,
     worthwhile,
 )
-from hpid_ros.tuning.upgrade_prediction import JUDGED, Expected, Prediction, over
+from hpid_ros.tuning.upgrade_prediction import (
+    JUDGED,
+    PHYSICS_STEPS,
+    Expected,
+    JointFacts,
+    Prediction,
+    over,
+    simulate,
+)
 
 _WINDOW = 200  # samples
 _THIRD_DIFFERENCE = 20.0  # of white noise, over the variance of the noise itself: 1 + 9 + 9 + 1

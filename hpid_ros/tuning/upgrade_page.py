@@ -30,8 +30,8 @@ from hpid_ros.report.page import (
 )
 from hpid_ros.report.table import Cell, format_ratio, format_values
 from hpid_ros.stability.margins import Margins
+from hpid_ros.tuning.identify import JointIdentification
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
-from hpid_ros.tuning.term_selection import JointIdentification
 from hpid_ros.tuning.upgrade import upgrade_text
 from hpid_ros.tuning.upgrade_from_bag import BagUpgrade
 from hpid_ros.tuning.upgrade_prediction import Expected, Prediction

@@ -13,7 +13,7 @@ from harness.loops import loop_settings
 from hpid_ros.control.settings import LARGEST_MOTION, PARAMETERS
 from hpid_ros.experiment.in_process import controllers_text
 from hpid_ros.stability.gain_boxes import gain_ranges
-from hpid_ros.tuning.plugin_export import package_files
+from hpid_ros.tuning.export import GivenLoop, package_files
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-Wshadow")
@@ -294,10 +294,14 @@ class Plugin:
 
 
 class Cycle:
-    """A controller that is called each millisecond with a state that moves a little."""
+    """A controller that is called each millisecond with a state that moves a little.
+
+    ``given`` is Python's loop of the first joint, ``held`` where that is held.
+    """
 
     def __init__(self, plugin):
         self.plugin, self.stamp_ns, self.position = plugin, 1_000_000_000, 0.1
+        self.given, self.held = GivenLoop(LOOPS[0]), self.position + 1e-5
 
     def __call__(self, count=1, by=1e-5, speed=0.01):
         for _ in range(count):
@@ -305,6 +309,12 @@ class Cycle:
             self.position += by
             efforts = self.plugin.update(self.stamp_ns, *[(self.position, speed)] * 2)
         return efforts
+
+    def as_python(self, count, by=1e-5, speed=0.01):
+        """Call it, and see that the first joint's efforts are those of Python's loop."""
+        for _ in range(count):
+            found = self(1, by, speed)[0]
+            assert found == self.given.step(self.stamp_ns, self.held, 0.0, self.position, speed)
 
 
 def reference_of(plugin, joint, stamp_ns, states):

@@ -231,7 +231,7 @@ def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
 @needs_bullet
 def test_predictions_start_where_the_experiment_does():
     from hpid_ros.metrics.results import run_indices
-    from hpid_ros.tuning.loop_simulation import simulate as simulate_loops
+    from hpid_ros.tuning.upgrade_prediction import simulate as simulate_loops
 
     experiment = load_experiment(EXPERIMENTS / "panda.yaml")
     world = experiment.world

@@ -28,8 +28,13 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.in_process import controllers_text
 from hpid_ros.stability.gain_boxes import gain_ranges
 from hpid_ros.stability.gain_check import inertia_of
-from hpid_ros.tuning.c_export import c_files, file_names, require_distinct
-from hpid_ros.tuning.plugin_export import package_files, require_package
+from hpid_ros.tuning.export import (
+    c_files,
+    file_names,
+    package_files,
+    require_distinct,
+    require_package,
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -35,7 +35,6 @@ from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import INDICES
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.table import ComparisonTable, TableColumn, WideTable
-from hpid_ros.tuning.loop_simulation import simulate
 from hpid_ros.tuning.robot_identification import visited_poses
 from hpid_ros.tuning.upgrade import (
     GOALS,
@@ -54,6 +53,7 @@ from hpid_ros.tuning.upgrade_prediction import (
     Held,
     Verification,
     read_prediction,
+    simulate,
     verify,
 )
 

@@ -19,7 +19,7 @@ def test_a_certificate_of_no_numbers_is_refused(value):
 
 def test_certificates_of_a_hundred_thousand_brackets_are_one_line(tmp_path):
     (tmp_path / "certificates.json").write_text("[" * 100_000)
-    with pytest.raises(SettingError, match="cannot read"):
+    with pytest.raises(SettingError, match="is no JSON"):
         saved_certificates(tmp_path / "certificates.json")
 
 

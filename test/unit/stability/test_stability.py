@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from harness.loops import loop_settings
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -13,9 +14,9 @@ from hpid_ros.control.homogeneous_pid import is_hurwitz
 from hpid_ros.stability.certificate_search import certified_degree_interval
 from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.gain_check import (
+    _multipliers,
     decay_time,
     integral_ratio,
-    multiplier_range,
     sampling_margin,
 )
 
@@ -108,12 +109,17 @@ def test_figures_of_a_loop():
     assert sampling_margin(Gains(1.0, 1.0, 20.0), 0.001, 5.0, inertia=0.5) == pytest.approx(0.2)
 
 
-@given(st.floats(-0.49, 0.49), st.floats(-3.0, math.log10(5.0)))
-def test_multipliers_lie_in_their_range(degree, log_norm):
-    least, largest = multiplier_range(degree, floor=1e-3, cap=5.0)
-    assert least * (1 - 1e-12) <= 10.0 ** (log_norm * degree) <= largest * (1 + 1e-12)
-    assert multiplier_range(-0.2, floor=0.0, cap=math.inf) == (0.0, math.inf)
-    assert multiplier_range(0.0, floor=0.0, cap=math.inf) == (1.0, 1.0)
+@pytest.mark.parametrize(
+    ("mu", "norm", "multipliers"),
+    [
+        (-0.2, {"norm__floor": 0.1}, (2.0**-0.2, 0.1**-0.2)),
+        (0.2, {"norm__floor": 0.1, "norm__cap": 1.5}, (0.1**0.2, 1.5**0.2)),
+        (-0.2, {"norm__floor": 0.0}, (2.0**-0.2, math.inf)),
+        (0.0, {"norm__floor": 0.0}, (1.0, 1.0)),
+    ],
+)
+def test_multipliers_reach_from_the_floor_to_the_cap_or_norm_two(mu, norm, multipliers):
+    assert _multipliers(loop_settings(mu=mu, **norm)) == multipliers
 
 
 @given(st.floats(-0.49, 0.49), st.floats(0.1, 10.0), st.floats(0.5, 2.0), st.floats(0.01, 0.4))
@@ -122,16 +128,3 @@ def test_decay_time_is_the_integral_of_the_decay(degree, decay, start, end):
     rates = 1.0 / (decay * values ** (1.0 + degree))
     expected = np.sum(0.5 * (rates[1:] + rates[:-1]) * np.diff(values))
     assert decay_time(degree, decay, start, end) == pytest.approx(expected, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("degree", "start", "end", "is_finite"),
-    [
-        *((-0.2, 1.0, 0.0, True), (-0.2, math.inf, 1.0, False), (0.0, 1.0, 0.0, False)),
-        *((0.2, math.inf, 1.0, True), (0.2, 1.0, 0.0, False)),
-    ],
-)
-def test_decay_time_knows_the_three_classes(degree, start, end, is_finite):
-    assert math.isfinite(decay_time(degree, 1.0, start, end)) == is_finite
-    with pytest.raises(SettingError, match="decay must be positive"):
-        decay_time(degree, -1.0, start, end)

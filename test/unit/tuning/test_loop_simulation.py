@@ -6,7 +6,7 @@ import pytest
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.series import JointSeries
-from hpid_ros.tuning.loop_simulation import recorded_motion, simulate
+from hpid_ros.tuning.upgrade_prediction import recorded_motion, simulate
 
 PERIOD_NS = 2_000_000
 TIMES_NS = PERIOD_NS * np.arange(1500, dtype=np.int64)

@@ -5,7 +5,7 @@ import math
 import pytest
 from harness.plugins import LOOPS, MS, NO_STOPS, Cycle, reference_of
 
-from hpid_ros.tuning.c_export import GivenLoop
+from hpid_ros.tuning.export import GivenLoop
 
 pytestmark = pytest.mark.slow  # it compiles and certifies
 
@@ -34,35 +34,22 @@ def test_a_state_is_published_with_the_effort_that_was_in_force_then(active):
     assert told == [0.0, *efforts[:-1]]
 
 
-def test_the_joints_are_held_where_they_are(active):
-    cycle = Cycle(active)
-    assert cycle(3, by=0.0, speed=0.0) == [0.0, 0.0]
-    assert all(effort < 0.0 for effort in cycle(1, by=1e-3))
-
-
 def test_states_that_have_ended_give_the_fallback_and_then_a_takeover_as_pythons(active):
-    cycle, given = Cycle(active), GivenLoop(LOOPS[0])
-    held = cycle.position + 1e-5
-
-    def both(count, by):
-        for _ in range(count):
-            found = cycle(1, by=by)[0]
-            wanted = given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
-            assert found == wanted
-
-    both(50, by=1e-5)
-    both(100, by=0.0)  # within state_timeout
-    assert given.loop.note_timeout() == 0.25
+    cycle = Cycle(active)
+    loop = cycle.given.loop
+    cycle.as_python(50)
+    cycle.as_python(100, by=0.0)  # within state_timeout
+    assert loop.note_timeout() == 0.25
     active.tick()
     for _ in range(1000):
         assert cycle(1, by=0.0)[0] == 0.25
         active.tick()
     assert active.verdict("elbow") == "2 no new state: fallback_effort"
     assert active.set("elbow", fallback_effort=0.5) == ""
-    given.loop.retune(given.loop.settings.with_parameters({"fallback_effort": 0.5}))
+    loop.retune(loop.settings.with_parameters({"fallback_effort": 0.5}))
     for _ in range(30):
         assert cycle(1, by=0.0)[0] == 0.5
-    both(200, by=1e-5)
+    cycle.as_python(200)
     for _ in range(100):
         active.tick()
     assert active.verdict("elbow") == "0 active"
@@ -73,22 +60,14 @@ def test_states_that_have_ended_give_the_fallback_and_then_a_takeover_as_pythons
 @pytest.mark.parametrize("speed", [0.0, 0.01])
 def test_after_a_standstill_of_the_manager_the_state_from_before_is_none(active, speed):
     """The joint may be elsewhere: a takeover from where it was would become a jump."""
-    cycle, given = Cycle(active), GivenLoop(LOOPS[0])
-    held = cycle.position + 1e-5
-
-    def both(count):
-        for _ in range(count):
-            found = cycle(1)[0]
-            assert found == given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
-
-    both(100)
-    before = cycle(1, speed=speed)[0]
-    assert before == given.step(cycle.stamp_ns, held, 0.0, cycle.position, speed)
+    cycle = Cycle(active)
+    cycle.as_python(100)
+    cycle.as_python(1, speed=speed)
     cycle.stamp_ns += 600 * MS
     for _ in range(10):
-        assert cycle(1, by=0.0, speed=speed)[0] == before
+        assert cycle(1, by=0.0, speed=speed)[0] == cycle.given.loop.effort
     cycle.position += 0.4
-    both(200)
+    cycle.as_python(200)
     # It may also be where it was: that is believed in the end.
     cycle(1, speed=0.0)
     cycle.stamp_ns += 600 * MS
@@ -98,17 +77,15 @@ def test_after_a_standstill_of_the_manager_the_state_from_before_is_none(active,
 
 @pytest.mark.parametrize("step_ns", [-3600 * 10**9, -MS, 50 * MS, 10**10])
 def test_nothing_moves_where_the_computers_clock_is_set(active, step_ns):
-    cycle, given = Cycle(active), GivenLoop(LOOPS[0])
-    held = cycle.position + 1e-5
-    for _ in range(100):
-        found = cycle(1)[0]
-        assert found == given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
+    cycle = Cycle(active)
+    held = cycle.held
+    cycle.as_python(100)
     for _ in range(100):
         cycle.position += 1e-5
         cycle.stamp_ns += MS
         now_ns = 10**13 + cycle.stamp_ns + step_ns
         found = active.update(now_ns, *[(cycle.position, 0.01)] * 2, period_ns=MS)[0]
-        assert found == given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
+        assert found == cycle.given.step(cycle.stamp_ns, held, 0.0, cycle.position, 0.01)
     # A trajectory begins when the clock that was set says so.
     active.trajectory("elbow", now_ns + 50 * MS, [0, 100 * MS], [held, 0.4])
     for k in range(1, 200):
@@ -138,7 +115,8 @@ def test_a_state_that_another_thread_has_for_an_instant_leaves_the_effort(active
 
 def test_what_is_left_gets_no_effort_and_is_held_again_where_it_is_then(active):
     cycle = Cycle(active)
-    assert cycle(5)[0] != 0.0
+    assert cycle(3, by=0.0, speed=0.0) == [0.0, 0.0]
+    assert all(effort < 0.0 for effort in cycle(1, by=1e-3))
     assert active.deactivate()
     active.tick()
     assert active.lifecycle("elbow") == "inactive"
@@ -147,15 +125,9 @@ def test_what_is_left_gets_no_effort_and_is_held_again_where_it_is_then(active):
     assert active.lifecycle("elbow") == "active"
     cycle.position = 0.7
     assert cycle(1, speed=0.0) == [0.0, 0.0]
-
-
-def test_a_controller_that_is_begun_again_at_once_holds_the_joints_where_they_are_then(active):
-    cycle = Cycle(active)
-    cycle(20)
-    cycle.position = 0.6
-    assert cycle(300)[0] < -1.0
+    assert cycle(300, by=1e-3)[0] < -1.0
     active.deactivate()
-    active.activate()
+    active.activate()  # at once
     assert cycle(1, speed=0.0) == [0.0, 0.0]
 
 
@@ -176,24 +148,21 @@ def test_what_is_asked_for_before_the_first_cycle_is_followed_and_what_is_older_
     assert reference_of(plugin, "elbow", 2 * 10**9 + 2 * MS, rest)[0] == 0.1
 
 
-def test_the_last_zero_is_published_also_where_the_controller_ends_at_once(active):
-    cycle = Cycle(active)
-    cycle(5)
+@pytest.mark.parametrize("ends_at_once", [True, False])
+def test_the_last_zero_is_published_whatever_comes_next(active, ends_at_once):
+    Cycle(active)(5)
     active.deactivate()
-    active.cleanup()
+    if ends_at_once:
+        active.cleanup()
+    else:
+        active.set_type(is_double=False)
+        assert not active.activate()
+        assert "not double" in active.told()
+        active.tick()
+        active.set_type(is_double=True)
+        assert active.activate()
     *before, (_, elbow), (_, wrist) = active.taken("joint_commands")
     assert len(before) == 5
-    assert [elbow["elbow"][2], wrist["wrist"][2]] == [0.0, 0.0]
-
-
-def test_the_last_zero_is_published_also_where_the_next_activation_fails(active):
-    cycle = Cycle(active)
-    cycle(5)
-    active.deactivate()
-    active.set_type(is_double=False)
-    assert not active.activate()
-    active.tick()
-    *_, (_, elbow), (_, wrist) = active.taken("joint_commands")
     assert [elbow["elbow"][2], wrist["wrist"][2]] == [0.0, 0.0]
 
 
@@ -214,16 +183,6 @@ def test_a_controller_whose_cycle_threw_can_be_left(active):
     assert active.cannot_read()
     assert active.deactivate()
     assert cycle(1)[0] == 0.0
-
-
-def test_states_of_another_type_are_refused(active):
-    active.deactivate()
-    active.tick()
-    active.set_type(is_double=False)
-    assert not active.activate()
-    assert "not double" in active.told()
-    active.set_type(is_double=True)
-    assert active.activate()
 
 
 def test_nothing_moves_where_chained_mode_begins_or_ends(make):
@@ -368,23 +327,15 @@ def test_a_joint_that_a_person_left_stays_so_until_a_person_has_it_controlled(ac
     assert cycle(2)[0] != 0.0
 
 
-def test_a_joint_that_is_left_gets_no_effort_also_while_its_state_cannot_be_read(active):
-    cycle = Cycle(active)
-    cycle(5)
-    active.tick()
-    active.transition("elbow", "deactivate")
-    active.set_busy(True)
-    assert cycle(1)[0] == 0.0
-
-
 def test_one_joint_is_left_alone_and_the_others_go_on(active):
     cycle = Cycle(active)
     cycle(5)
     active.tick()
     assert active.transition("elbow", "deactivate") == "inactive"
-    elbow, wrist = cycle(1)
-    assert elbow == 0.0
-    assert wrist != 0.0
+    assert [effort != 0.0 for effort in cycle(1)] == [False, True]
+    active.set_busy(True)  # also while its state cannot be read
+    assert cycle(1)[0] == 0.0
+    active.set_busy(False)
     assert active.transition("elbow", "activate") == "active"
     assert cycle(1, speed=0.0)[0] == 0.0
     active.deactivate()
