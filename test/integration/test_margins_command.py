@@ -60,7 +60,11 @@ def test_both_verdicts_stand_side_by_side(file, tmp_path, capsys):
     pid, band = loop["pid"]["worst"], loop["band"]["worst"]
     assert band["disk"] < pid["disk"]
     assert loop["multiplier"] == pytest.approx([2.0**-0.2, 0.1**-0.2])
-    assert loop["at_rest"]["where"]["disk"]["multiplier"] == pytest.approx(0.1**-0.2)
+    assert loop["inertia"] == [0.105, 0.105]
+    assert loop["at_rest"]["where"]["disk"] == {
+        "inertia": 0.105,
+        "multiplier": pytest.approx(0.1**-0.2),
+    }
     assert {each["multiplier"] for each in loop["cases"]} >= {1.0, *loop["multiplier"]}
 
 
@@ -76,13 +80,6 @@ def test_friction_and_delay_of_an_experiment_are_in_its_margins(tmp_path):
     pid = changed["PID arm_joint_1"]
     assert (pid["friction"], pid["delay"]) == (0.0, 0.004)
     assert pid["pid"]["worst"]["disk"] < loops["PID arm_joint_1"]["pid"]["worst"]["disk"]
-
-
-def test_a_range_of_inertia_says_where_it_is_worst(file, tmp_path):
-    (loop,) = document_of([file(inertia=0.0), "--inertia", "0.05", "0.3"], tmp_path).values()
-    assert loop["inertia"] == [0.05, 0.3]
-    assert loop["band"]["where"]["gain"]["inertia"] == 0.05
-    assert loop["band"]["where"]["gain_reduction"]["inertia"] == 0.3
 
 
 def test_a_loop_that_sampling_breaks_is_unstable_and_has_no_margins(file, tmp_path, capsys):
