@@ -304,10 +304,11 @@ class _Replay:
         recorded = command.effort
         if self._is_left:
             self._is_left = False
+            before = sum(nominal <= index for nominal in self._nominal)
             for branch in self._branches:
+                while branch.received < before:  # parameters stay, motions are forgotten
+                    self._instruct(branch, self._record.instructions[branch.received])
                 branch.loop.release()
-                before = sum(nominal <= index for nominal in self._nominal)
-                branch.received = max(branch.received, before)
         branches = self._expanded(index)
         silence = state.log_time_ns - (self._log_time_ns or state.log_time_ns)
         timeout = self._branches[0].loop.settings.timing.state_timeout

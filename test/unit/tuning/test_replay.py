@@ -198,11 +198,14 @@ def test_another_sender_is_told_apart():
     assert not verdict.is_the_law
 
 
-def test_a_joint_that_was_left_and_taken_again_begins_anew():
+def test_a_joint_that_was_left_begins_again_with_the_parameters_set_meanwhile():
     recorder = recorded(50)
     recorder.command(recorder.stamp_ns, 0.0)
-    for _ in range(20):
+    for k in range(20):
         recorder.state(is_heard=False)
+        if k == 10:
+            recorder.tell(change(gains__p=200.0), "gains.p")
+            recorder.tell(following(Column("elbow", (Knot(0, 0.2),))), "a trajectory")
     recorder.loop.release()
     for _ in range(50):
         recorder.state()
