@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.messages.batches import Integers
 from hpid_ros.messages.columns import JointSamples
-from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.selection import BagSelection, RecordedRun
 from hpid_ros.messages.series import (
     HOLD,
     MEASURED,
@@ -31,10 +31,6 @@ from hpid_ros.motion.joint_trajectory import (
     SplineReference,
     segment,
 )
-
-if TYPE_CHECKING:
-    from hpid_ros.messages.run import RecordedRun
-
 
 _LATE = 1.5
 """Periods between two stamps from which on a sample is taken to be missing."""

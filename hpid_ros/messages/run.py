@@ -5,21 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
-from hpid_ros.base.errors import BagError, MessageError, TrajectoryError, unknown_name
-from hpid_ros.messages.batches import TopicBatch
-from hpid_ros.messages.columns import (
-    CONTROLLER_STATE,
-    FLOAT64,
-    JOINT_STATE,
-    JointSamples,
-    JointStream,
-)
+from hpid_ros.base.errors import BagError, MessageError, unknown_name
 from hpid_ros.messages.joint_run import JointRun, Window
 from hpid_ros.messages.joint_state import JointReader
-from hpid_ros.messages.joint_trajectory import TrajectoryArrays, decode_trajectory
-from hpid_ros.messages.selection import BagSelection, TopicChoice, choose_topics
+from hpid_ros.messages.selection import BagSelection, RecordedRun, TopicChoice, choose_topics
 from hpid_ros.messages.series import (
     DataQuality,
     RecordingQuality,
@@ -236,115 +226,3 @@ def measures_velocity(path: Path, joint: str) -> bool:
                 if sample is not None:
                     return sample.velocity is not None
     return False
-
-
-class LoggedTrajectory(NamedTuple):
-    """A trajectory and its place in the log."""
-
-    log_time_ns: int  # [ns] when it was recorded
-    place: int  # its place in the files
-    topic: str  # where it was published
-    arrays: TrajectoryArrays  # what it says, checked
-
-
-def decoded_trajectory(raw: bytes) -> TrajectoryArrays:
-    """Return a serialised trajectory, checked."""
-    # A recording may hold any number of points: reading it need not keep pace with a robot.
-    decoded = decode_trajectory(raw, len(raw), len(raw))
-    decoded.require()
-    return decoded
-
-
-class RecordedRun:
-    """The messages of a run as columns and trajectories."""
-
-    def __init__(
-        self,
-        choice: TopicChoice,
-        types: Mapping[str, str],
-        joints: frozenset[str] | None,
-    ) -> None:
-        self.choice = choice
-        self.notes: list[str] = []
-        self.trajectories: list[LoggedTrajectory] = []
-        self.states = {
-            topic: JointStream(JOINT_STATE, "position", joints) for topic in choice.states
-        }
-        self.commands = {
-            topic: JointStream(types[topic], "effort", joints) for topic in choice.commands
-        }
-        elements: dict[str, dict[int, str]] = {}
-        for joint, (topic, element) in choice.command_topics.items():
-            elements.setdefault(topic, {})[element] = joint
-        self.floats = {
-            topic: JointStream(types[topic], "data", elements=of_topic)
-            for topic, of_topic in elements.items()
-        }
-        references = choice.references
-        self.setpoints = {
-            topic: JointStream(FLOAT64, "data", elements={0: joint})
-            for joint, topic in references.setpoint.items()
-        }
-        self.sampled = {
-            topic: JointStream(JOINT_STATE, "position", joints) for topic in references.sampled
-        } | {
-            topic: JointStream(CONTROLLER_STATE, "reference", joints)
-            for topic in references.controller_state
-        }
-
-    def streams(self) -> Iterator[tuple[str, JointStream]]:
-        """Yield topic and stream of everything but trajectories."""
-        for streams in (self.states, self.commands, self.floats, self.setpoints, self.sampled):
-            yield from streams.items()
-
-    def add(self, batch: TopicBatch) -> None:
-        """Take the next messages of a topic."""
-        if batch.topic in self.choice.references.trajectory:
-            self._add_trajectories(batch)
-            return
-        for topic, stream in self.streams():
-            if topic == batch.topic:
-                stream.add(batch)
-
-    def _add_trajectories(self, batch: TopicBatch) -> None:
-        for log_time_ns, place, raw in batch.messages():
-            try:
-                decoded = decoded_trajectory(raw)
-            except TrajectoryError as error:
-                self.notes.append(f"a trajectory is left out, as controllers refuse it: {error}")
-                continue
-            except MessageError as error:
-                # Whatever was followed from here on is unknown.
-                raise BagError(f"{batch.topic} at {log_time_ns} ns: {error}") from error
-            self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, decoded))
-
-    def has_efforts(self) -> bool:
-        """Return whether any command carries a joint's effort."""
-        streams = (*self.commands.values(), *self.floats.values())
-        return any(stream.joints() for stream in streams)
-
-    def known_joints(self) -> list[str]:
-        """Return the joints that states name, in their order."""
-        return list(dict.fromkeys(name for each in self.states.values() for name in each.names))
-
-    def take_states(self, joint: str) -> JointSamples | None:
-        """Return one joint's positions and forget them; None if there are none."""
-        topics = [topic for topic, stream in self.states.items() if joint in stream.joints()]
-        if len(topics) > 1:
-            raise SeriesError(
-                f"joint {joint!r}: its states are on {' and on '.join(topics)}, but must be on "
-                f"one of the topics (--states)"
-            )
-        return self.states[topics[0]].take(joint) if topics else None
-
-    def concerned_joints(self) -> set[str]:
-        """Return those that are commanded or have a reference, known or not."""
-        concerned: set[str] = set()
-        commands = () if self.choice.is_measured else self.commands.values()
-        for stream in (*commands, *self.sampled.values()):
-            concerned.update(stream.names)
-        for stream in (*self.floats.values(), *self.setpoints.values()):
-            concerned.update(stream.joints())
-        for logged in self.trajectories:
-            concerned.update(logged.arrays.names)
-        return concerned

@@ -24,11 +24,11 @@ from hpid_ros.messages.joint_state import EffortReader, JointReader, JointSample
 from hpid_ros.messages.joint_trajectory import decode_float64
 from hpid_ros.messages.messages import PARAMETER_EVENTS, parameter_changes, read_event
 from hpid_ros.messages.reports import ParameterEvent, decode_numbers
-from hpid_ros.messages.run import decoded_trajectory
 from hpid_ros.messages.selection import (
     BagSelection,
     TopicChoice,
     choose_topics,
+    decoded_trajectory,
     is_below,
     joint_of,
     last_part,

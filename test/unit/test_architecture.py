@@ -139,7 +139,7 @@ def test_the_pure_core_needs_no_library_but_numpy_and_scipy(name):
 def test_there_is_no_circle():
     """Not even within a room: whoever is imported can be read without who imports it."""
     names = {module_name(path): path for path in modules()}
-    after = {name: {n for n in at_import(path) if n in names} for name, path in names.items()}
+    after = {name: {n for n in imports_of(path) if n in names} for name, path in names.items()}
     done = set()
     while after:
         free = [name for name, needs in after.items() if not needs - done - {name}]
@@ -155,9 +155,9 @@ def module_name(path):
     )
 
 
-def at_import(path):
-    """Yield what is imported when a module is: what stands at its top level."""
-    for node in parsed(path).body:
+def imports_of(path):
+    """Yield what a module imports, wherever it does: for its types or in a function, too."""
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] == "hpid_ros":
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
