@@ -55,9 +55,10 @@ $(VENV)/.live-installed: $(VENV)/.installed
 play: $(VENV)/.live-installed
 	$(BIN)/hpid play $(ARGS)
 
-# Each file on one of so many processes, the long ones first; graphs have domains of their own.
-JOBS ?= 2
-SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+# Each file on one of so many processes, the long ones first; graphs have domains of their own. More
+# than there are cores: half of the time a test of nodes waits.
+JOBS ?= 4
+SPREAD = -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 PYTEST = $(BIN)/python -m pytest $(PROFILE)
 
 thorough: PROFILE := --hypothesis-profile thorough
@@ -88,6 +89,7 @@ faults: $(VENV)/.test-installed
 repository: $(VENV)/.test-installed
 	$(PYTEST) $(SPREAD) -m repository -q $(call with,mark.repository) $(ARGS)
 
+busy: JOBS := 2
 busy: $(VENV)/.test-installed
 	@(while :; do :; done) & first=$$!; (while :; do :; done) & second=$$!; \
 	trap "kill $$first $$second" EXIT; trap "exit 1" INT TERM; failed=0; \
@@ -95,6 +97,8 @@ busy: $(VENV)/.test-installed
 	$(PYTEST) -m "not alone" test/closed $(ARGS) || failed=1; \
 	exit $$failed
 
+quick: JOBS := 2
+quick: PROFILE := --hypothesis-profile quick
 quick: $(VENV)/.test-installed
 	$(PYTEST) $(SPREAD) -m "not slow and not repository" -q test/unit $(ARGS)
 

@@ -21,6 +21,7 @@ from hpid_ros.experiment.processes import NodeGroup, own_domain
 
 # A busy machine is not a failure. Every run draws other examples, so that many runs see many.
 settings.register_profile("suite", deadline=None, max_examples=25)
+settings.register_profile("quick", deadline=None, max_examples=5)
 settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile("suite")  # another one: pytest --hypothesis-profile thorough
 

@@ -295,6 +295,7 @@ def write_plugin_bag(path, plugin):
             bag.write(topics[name], stamp_ns, raw)
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("sanitizer", ["thread", "address,undefined"])
 def test_the_sanitizers_find_nothing_while_both_threads_are_busy(exported, parameters, sanitizer):
     found = run_threads(exported, parameters, sanitizer)
