@@ -163,6 +163,7 @@ _APART = (50, 500)
 """States by which a controller may have received something earlier or later than the recorder:
 first a few are tried, and where that does not agree, as on an overloaded machine, many."""
 _BRANCHES_AT_MOST = 64
+_STATES_APART = 2000  # between two notes of progress
 _SETTLED_AFTER = 200  # states without a choice, after which the likeliest branch is taken
 _TRIED_UNANSWERED = 3  # states without a command, one after the other, that may have been received
 _SHOWN_AT_MOST = 100  # differences
@@ -192,11 +193,17 @@ class _Branch:
         return _Branch(deepcopy(self.loop), self.received, self.cost + cost, notes)
 
 
-def replay_joint(record: JointRecord) -> JointVerdict:
-    """Compute every command of one joint again, and compare it to the last bit."""
+def replay_joint(
+    record: JointRecord, progress: Callable[[float], None] = lambda share: None
+) -> JointVerdict:
+    """Compute every command of one joint again, and compare it to the last bit.
+
+    Progress is told the share of the states that are done; it starts again where a second look
+    is needed.
+    """
     verdict = JointVerdict(record.settings.joint, is_slide=record.is_slide)
     for apart in _APART:
-        found = _Replay(record, apart).verdict()
+        found = _Replay(record, apart).verdict(progress)
         if found.equal >= verdict.equal:
             verdict = found
         if not (verdict.different and record.instructions) or _BEGUN_BEFORE in verdict.notes:
@@ -243,9 +250,11 @@ class _Replay:
             self._counts["outside"] += 1
             self._is_begun_before |= bool(states) and stamp_ns < states[0].stamp_ns
 
-    def verdict(self) -> JointVerdict:
+    def verdict(self, progress: Callable[[float], None]) -> JointVerdict:
         has_begun = False
         for index, state in enumerate(self._record.states):
+            if index % _STATES_APART == 0:
+                progress(index / len(self._record.states))
             has_begun = has_begun or state.stamp_ns in self._answers
             if has_begun:
                 self._take(index, state)

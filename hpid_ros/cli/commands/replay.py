@@ -7,16 +7,13 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from hpid_ros.base.console import TextConsole
-from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.options import joint_progress
 from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.writer import repair_bag
 from hpid_ros.tuning.recorded_loops import read_records
-from hpid_ros.tuning.replay import Difference, JointVerdict, replay_joint
+from hpid_ros.tuning.replay import Difference, JointRecord, JointVerdict, replay_joint
 
 _SHOWN = 5
 
@@ -31,11 +28,13 @@ def run(options: argparse.Namespace) -> int:
             options.bag, options.params, options.joint or None, selection, told
         )
     verdicts = []
-    with joint_progress(TextConsole(stderr=True), "computed anew", len(records)) as progress:
-        for record in records:
-            verdicts.append(replay_joint(record))
-            progress([record.settings.joint])
-            raise_if_interrupted()
+    with reading() as tell:
+        for number, record in enumerate(records):
+
+            def computed(share: float, number: int = number, record: JointRecord = record) -> None:
+                tell(f"replaying {record.settings.joint}", (number + share) / len(records))
+
+            verdicts.append(replay_joint(record, computed))
     console = output_console()
     for line in unreadable:
         console.print(f"not read: {line}", soft_wrap=True)
