@@ -53,13 +53,22 @@ def runtime_imports(tree):
         yield from runtime_imports(node)
 
 
+def imported_in(*folders):
+    found = set()
+    for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
+        found |= set(runtime_imports(ast.parse(path.read_text())))
+    return found - sys.stdlib_module_names - {"hpid_ros", "benchmarks"}
+
+
+def test_what_benchmarks_import_comes_with_their_extra():
+    (extra,) = re.findall(r'"bench": \[(.*?)\]', (ROOT / "setup.py").read_text())
+    known = {name.replace("-", "_") for name in re.findall(r'"([\w-]+)', extra)}
+    assert imported_in("benchmarks") - imported_in("hpid_ros") == known
+
+
 def test_whatever_is_imported_has_its_key():
     keys = set(tool("check_rosdep_keys").keys_of(PACKAGE))
-    imported = set()
-    for folder in ("hpid_ros", "launch"):
-        for path in (ROOT / folder).rglob("*.py"):
-            imported |= set(runtime_imports(ast.parse(path.read_text())))
-    imported -= sys.stdlib_module_names | WITHOUT_KEY | {"hpid_ros"}
+    imported = imported_in("hpid_ros", "launch") - WITHOUT_KEY
     assert {"rclpy", "launch", "numpy", "ament_index_python"} <= imported
     assert "pinocchio" in keys
     assert {KEY_OF.get(name, name) for name in imported} - keys == set()
