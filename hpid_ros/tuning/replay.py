@@ -198,8 +198,7 @@ def replay_joint(
 ) -> JointVerdict:
     """Compute every command of one joint again, and compare it to the last bit.
 
-    Progress is told the share of the states that are done; it starts again where a second look
-    is needed.
+    ``progress`` gets the share of the states that are done, from 0 again for a second look.
     """
     verdict = JointVerdict(record.settings.joint, is_slide=record.is_slide)
     for apart in _APART:
