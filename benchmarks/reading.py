@@ -25,10 +25,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.processes import ROOT
-from hpid_ros.messages.batches import zstd_library
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
+from hpid_ros.messages.mcap_file import zstd_library
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint

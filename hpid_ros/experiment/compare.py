@@ -31,18 +31,10 @@ from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder, versions
 from hpid_ros.messages.messages import BagMessages
 from hpid_ros.messages.reports import POSE
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import RunSeries
-from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.folding import (
-    BySeed,
-    EngineTotal,
-    engine_mapping,
-    unfollowed_lines,
-    unfollowed_mapping,
-)
-from hpid_ros.metrics.laws import gains_of_runs
+from hpid_ros.messages.series import RunSeries, unfollowed_lines, unfollowed_mapping
+from hpid_ros.metrics.comparison import BySeed, Comparison, EngineTotal, engine_mapping
 from hpid_ros.metrics.measure import Measuring, measure
-from hpid_ros.metrics.quantities import PAPER, Quantity
+from hpid_ros.metrics.quantities import PAPER, Quantity, gains_of_runs
 from hpid_ros.metrics.task import (
     BaseFigures,
     BrickFigures,

@@ -40,7 +40,7 @@ from hpid_ros.experiment.study_plan import (
     kept_records,
     read_journal,
 )
-from hpid_ros.metrics.folding import EngineTotal, engine_mapping
+from hpid_ros.metrics.comparison import EngineTotal, engine_mapping
 from hpid_ros.metrics.quantities import (
     EFFORT_L2,
     ERROR_L2,

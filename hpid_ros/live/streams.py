@@ -21,8 +21,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.live.controllers import Samples
-from hpid_ros.messages.batches import Integers
-from hpid_ros.messages.columns import FLOAT64, FLOAT64_MULTI_ARRAY, JOINT_STATE
+from hpid_ros.messages.columns import FLOAT64, FLOAT64_MULTI_ARRAY, JOINT_STATE, Integers
 from hpid_ros.messages.joint_state import (
     STAMP_OFFSET,
     Cursor,

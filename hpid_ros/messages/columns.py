@@ -1,4 +1,4 @@
-"""Columns of messages: layouts of their bytes, numbers of one joint as arrays.
+"""Batches of a bag's messages, and numbers of one joint in them as arrays.
 
 A publisher repeats one layout: nearly all messages of a topic differ in their stamp and doubles
 only. A layout is learned from one message; a mask over its bytes then tells the others that
@@ -7,7 +7,7 @@ have it, many at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import Numbers
-from hpid_ros.messages.batches import Bytes, Integers, TopicBatch
 from hpid_ros.messages.joint_state import (
     ENCAPSULATION,
     WORD,
@@ -25,6 +24,66 @@ from hpid_ros.messages.joint_state import (
     Words,
     joint_state_layout,
 )
+
+Bytes = NDArray[np.uint8]
+Integers = NDArray[np.int64]
+
+SLACK = 64
+"""Bytes of a buffer before its first and after its last message, so that rows may reach out."""
+
+
+class TopicInfo(NamedTuple):
+    """A topic of a bag."""
+
+    type: str  # message type, for instance "sensor_msgs/msg/JointState"
+    encoding: str  # of the messages; "cdr" in all of ROS 2
+    message_count: int | None  # number of messages by the index; None if the bag has none
+    definition: str  # the type's definition as recorded; empty if it was not
+
+
+class TopicBatch(NamedTuple):
+    """Messages of one topic, in the order in which the file holds them."""
+
+    topic: str  # full name
+    buffer: Bytes  # bytes; valid until the next batch is asked for
+    starts: Integers  # first byte of each serialised message, (n,)
+    sizes: Integers  # their lengths in bytes, (n,)
+    log_times_ns: Integers  # [ns] when they were recorded, (n,)
+    places: Integers  # ascending numbers that order all messages of the bag as its files do, (n,)
+
+    def raw(self, index: int) -> bytes:
+        start = int(self.starts[index])
+        return self.buffer[start : start + int(self.sizes[index])].tobytes()
+
+    def messages(self) -> Iterator[tuple[int, int, bytes]]:
+        """Yield log time [ns], place and bytes of each message."""
+        times, places = self.log_times_ns.tolist(), self.places.tolist()
+        return zip(times, places, self.raws(), strict=True)
+
+    def raws(self) -> Iterator[bytes]:
+        return map(self.raw, range(len(self.starts)))
+
+    def picked(self, which: NDArray[np.bool_]) -> TopicBatch:
+        """Return some of the messages."""
+        return TopicBatch(self.topic, self.buffer, *(part[which] for part in self[2:]))
+
+
+def batch_of(
+    topic: str, raws: Sequence[bytes], log_times_ns: Integers, places: Integers
+) -> TopicBatch:
+    """Return messages that lie apart as a batch."""
+    slack = bytes(SLACK)
+    sizes = np.fromiter(map(len, raws), np.int64, len(raws))
+    buffer = np.frombuffer(b"".join((slack, *raws, slack)), dtype=np.uint8)
+    return TopicBatch(topic, buffer, SLACK + np.cumsum(sizes) - sizes, sizes, log_times_ns, places)
+
+
+def count_difference(counted: Mapping[str, int], found: Mapping[str, int]) -> str:
+    """Return a text of where two counts of messages differ; empty if nowhere."""
+    unequal = [(name, counted[name], found.get(name, 0)) for name in sorted(counted)]
+    return "; ".join(
+        f"{count} messages on {name}, not {seen}" for name, count, seen in unequal if count != seen
+    )
 
 
 def gather_words(buffer: Bytes, starts: Integers, words: int) -> Words:

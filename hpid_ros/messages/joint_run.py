@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
-from hpid_ros.messages.batches import Integers
-from hpid_ros.messages.columns import JointSamples
+from hpid_ros.messages.columns import Integers, JointSamples
 from hpid_ros.messages.selection import BagSelection, RecordedRun
 from hpid_ros.messages.series import (
     HOLD,

@@ -4,6 +4,10 @@ Records are walked one after the other; the index is asked for topics, and for c
 none that is wanted. A library reads no file that was cut off, and takes eight times as long
 (rosbags 0.11.9; mcap 1.6.0: seventeen times).
 
+A few kilobytes can unpack to any number of gigabytes. So everything, of SQLite files as well, is
+unpacked up to a stated size only: what a chunk declares, and never more than the
+:class:`Allowance` of its file.
+
 Source: the MCAP format specification, version 0; all integers are little-endian.
 """
 
@@ -11,30 +15,162 @@ from __future__ import annotations
 
 import os
 import struct
+import sys
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import BagError
-from hpid_ros.messages.batches import (
+from hpid_ros.base.errors import BagError, SettingError
+from hpid_ros.messages.columns import (
     SLACK,
-    Advance,
-    Allowance,
     Bytes,
-    Report,
     TopicBatch,
     TopicInfo,
-    check_sum,
     count_difference,
-    decompressed,
-    decompressed_part,
+    gather_words,
 )
-from hpid_ros.messages.columns import gather_words
+
+Report = Callable[[str], None]
+"""Takes one line about something that could not be read."""
+
+Advance = Callable[[int], None]
+"""Takes the number of bytes of a file that are done."""
+
+
+LIMIT_VARIABLE = "HPID_UNPACK_LIMIT"
+"""Environment variable with the bytes that may be unpacked whatever they are packed in."""
+
+DEFAULT_LIMIT = 256 << 20
+"""Its default, in bytes: a hundred times what a recorder puts into a chunk."""
+
+RATIO = 100
+"""How often its own size anything may unpack to; recordings of joints reach some 10."""
+
+_BLOCK = 1 << 20
+
+
+class Allowance:
+    """How much one reading of a file may unpack.
+
+    :data:`LIMIT_VARIABLE` bytes, and :data:`RATIO` times what they are packed in: memory, disk and
+    time stay in proportion to the file.
+    """
+
+    def __init__(self) -> None:
+        text = os.environ.get(LIMIT_VARIABLE, str(DEFAULT_LIMIT))
+        if not (text.isascii() and text.isdecimal()):
+            raise SettingError(f"{LIMIT_VARIABLE} must be a number of bytes, not {text!r}")
+        self._limit = self._spare = int(text)
+
+    def room(self, packed: int) -> int:
+        """Return how much may come out of so many packed bytes."""
+        return self._spare + RATIO * packed
+
+    def require(self, packed: int, size: int) -> None:
+        """Raise BagError unless so many bytes may come out of the packed ones."""
+        if size > self.room(packed):
+            raise self.refusal(packed)
+
+    def refusal(self, packed: int) -> BagError:
+        """Return the error for packed bytes that hold more than may come out."""
+        return BagError(
+            f"{packed} bytes would unpack to more than {self.room(packed)}; "
+            f"{LIMIT_VARIABLE} (now {self._limit} bytes) allows more"
+        )
+
+    def spend(self, packed: int, size: int) -> None:
+        """Take into account what came out."""
+        self._spare = min(self._limit, self.room(packed) - size)
+
+
+def decompressed(compression: str, raw: bytes, size: int, crc: int, allowance: Allowance) -> bytes:
+    allowance.require(len(raw), size)
+    records, is_whole = _unpacked(compression, raw, size)
+    allowance.spend(len(raw), len(records))
+    if not is_whole or len(records) != size:
+        raise BagError(f"{len(records)} bytes{'' if is_whole else ' and more'} instead of {size}")
+    check_sum(records, crc)
+    return records
+
+
+def decompressed_part(compression: str, raw: bytes, most: int, allowance: Allowance) -> bytes:
+    """Return what can be decompressed of a chunk that is cut off, up to a size."""
+    part, _ = _unpacked(compression, raw, min(most, allowance.room(len(raw))))
+    allowance.spend(len(raw), len(part))
+    return part
+
+
+def decompressed_message(raw: bytes, allowance: Allowance) -> bytes:
+    """Return a message that was compressed by itself, with zstd."""
+    message, is_whole = _unpacked("zstd", raw, allowance.room(len(raw)))
+    if not is_whole:
+        raise allowance.refusal(len(raw))
+    allowance.spend(len(raw), len(message))
+    return message
+
+
+def unpack_file(source: Path, target: Path, allowance: Allowance) -> bool:
+    """Unpack a zstd file as far as it goes."""
+    zstd = zstd_library()
+    packed, size = source.stat().st_size, 0
+    with zstd.open(source, "rb") as stream, target.open("wb") as unpacked:
+        try:
+            while block := stream.read(_BLOCK):
+                size += len(block)
+                allowance.require(packed, size)
+                unpacked.write(block)
+        except (EOFError, zstd.ZstdError):
+            return False
+    return True
+
+
+def check_sum(records: Any, crc: int) -> None:
+    """Raise BagError unless the checksum is right or not given."""
+    if crc and zlib.crc32(records) != crc:
+        raise BagError("wrong checksum")
+
+
+def _unpacked(compression: str, raw: bytes, most: int) -> tuple[bytes, bool]:
+    """Return what comes out of one or several frames up to a size, and whether that is all."""
+    if compression not in ("zstd", "lz4"):
+        raise BagError(f"unknown compression {compression!r}")
+    if compression == "zstd":
+        new = zstd_library().ZstdDecompressor
+    else:
+        import lz4.frame  # type: ignore[import-untyped]
+
+        new = lz4.frame.LZ4FrameDecompressor
+    parts: list[bytes] = []
+    try:
+        while raw:
+            frame = new()
+            # One byte more than may come out tells whether there is more.
+            parts.append(frame.decompress(raw, most + 1))
+            most -= len(parts[-1])
+            if most < 0:
+                return b"".join(parts)[:most], False
+            if not frame.eof:
+                break
+            raw = frame.unused_data or b""
+    # Both libraries raise whatever their C code finds: RuntimeError, ZstdError, EOFError.
+    except Exception as error:
+        raise BagError(f"{compression} data is damaged") from error
+    return parts[0] if len(parts) == 1 else b"".join(parts), True
+
+
+def zstd_library() -> Any:
+    """Return zstd: of the standard library from CPython 3.14 on, else its backport."""
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        from backports import zstd
+    return zstd
+
 
 MAGIC = b"\x89MCAP0\r\n"
 FRAME = struct.Struct("<BQ")  # opcode, length of the content

@@ -5,6 +5,7 @@ For topics of a few messages; what comes a thousand times a second is read as co
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import BagError, MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.control.settings import LOOP_PARAMETERS
+from hpid_ros.messages.columns import JOINT_STATE
 from hpid_ros.messages.reports import (
     ODOMETRY,
     POSES,
@@ -26,6 +29,7 @@ from hpid_ros.messages.reports import (
     decode_text,
 )
 from hpid_ros.messages.selection import find_topic, matching
+from hpid_ros.messages.series import Retune
 from hpid_ros.messages.storage import Storage
 from hpid_ros.messages.writer import jazzy_types
 
@@ -209,3 +213,45 @@ def read_event(raw: bytes) -> ParameterEvent | None:
         return decode_parameter_event(raw)
     except MessageError:
         return None
+
+
+_HEADER = 12  # bytes of an encapsulation header and a stamp
+
+
+def read_retunes(path: Path) -> tuple[Retune, ...]:
+    """Return what was set at controllers that ran, each with the state before it."""
+    with Storage(path) as bag:
+        topics = bag.topics()
+        states = [name for name, topic in topics.items() if topic.type == JOINT_STATE]
+        states = [name for name in states if name.endswith("joint_states")]
+        changes = parameter_changes(bag) if states else []
+        if not changes:
+            return ()
+        stamps = _stamps_before([each.place for each in changes], bag, states[0])
+    retunes = []
+    for change, stamp_ns in zip(changes, stamps, strict=True):
+        texts = [f"{k} = {_shown(v)}" for k, v in change.changed.items() if k in LOOP_PARAMETERS]
+        if texts and stamp_ns is not None:
+            retunes.append(Retune(stamp_ns, change.node, ", ".join(texts)))
+    return tuple(retunes)
+
+
+def _stamps_before(places: Sequence[int], bag: Storage, states: str) -> list[int | None]:
+    """Return for each place the stamp of the last state before it, None if there is none."""
+    stamps: list[int | None] = [None] * len(places)
+    last: list[int] = [-1] * len(places)
+    for batch in bag.batches(frozenset((states,))):
+        before = np.searchsorted(batch.places, places) - 1
+        for number, index in enumerate(before.tolist()):
+            if index >= 0 and batch.places[index] > last[number] and batch.sizes[index] >= _HEADER:
+                last[number] = int(batch.places[index])
+                raw = batch.raw(index)  # it begins with a header, which begins with the stamp
+                seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
+                stamps[number] = int(seconds) * NANOSECONDS + int(nanoseconds)
+    return stamps
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "unset"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -15,7 +15,6 @@ from hpid_ros.base.errors import (
     TrajectoryError,
     unknown_name,
 )
-from hpid_ros.messages.batches import TopicBatch
 from hpid_ros.messages.columns import (
     CONTROLLER_STATE,
     FLOAT64,
@@ -24,6 +23,7 @@ from hpid_ros.messages.columns import (
     JOINT_TRAJECTORY,
     JointSamples,
     JointStream,
+    TopicBatch,
 )
 from hpid_ros.messages.joint_trajectory import TrajectoryArrays, decode_trajectory
 from hpid_ros.messages.series import HOLD, SeriesError

@@ -27,18 +27,15 @@ import numpy as np
 
 from hpid_ros.base.errors import BagError
 from hpid_ros.base.yaml_files import load_yaml
-from hpid_ros.messages.batches import (
+from hpid_ros.messages.columns import TopicBatch, TopicInfo, batch_of, count_difference
+from hpid_ros.messages.mcap_file import (
     Advance,
     Allowance,
+    McapFile,
     Report,
-    TopicBatch,
-    TopicInfo,
-    batch_of,
-    count_difference,
     decompressed_message,
     unpack_file,
 )
-from hpid_ros.messages.mcap_file import McapFile
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hpid_ros.base.errors import BagError, ResultExistsError, unknown_name
-from hpid_ros.messages.batches import TopicBatch
-from hpid_ros.messages.columns import JOINT_TRAJECTORY
+from hpid_ros.messages.columns import JOINT_TRAJECTORY, TopicBatch
 from hpid_ros.messages.storage import Progress, Storage, no_progress
 
 if TYPE_CHECKING:

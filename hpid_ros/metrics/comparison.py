@@ -1,14 +1,15 @@
 """Runs side by side: the first is the baseline, the others are ratios of it.
 
 Every index and norm here is a cost: a ratio below one is an improvement. Runs of unlike length,
-rate or reference have no ratios: their numbers stand beside each other and say nothing.
+rate or reference have no ratios: their numbers stand beside each other and say nothing. Repeats
+of one run are folded into their medians; the same runs in two engines are held against each other.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from hpid_ros.metrics.results import (
     NOTHING,
     Difference,
     RunIndices,
+    Spread,
     differences,
     for_json,
 )
@@ -103,6 +105,85 @@ def common_cuts(runs: Sequence[RunIndices]) -> tuple[Cut, ...]:
         )
         for start, duration in zip(starts, durations, strict=True)
     )
+
+
+Pair = tuple[float, float]
+
+
+def fold_repeats(runs: Sequence[RunIndices]) -> tuple[RunIndices, ...]:
+    """Return one run for each label, in the order of the labels' first runs."""
+    groups: dict[str, list[RunIndices]] = {}
+    for run in runs:
+        groups.setdefault(run.label, []).append(run)
+    return tuple(
+        group[0] if len(group) == 1 else _folded(label, group) for label, group in groups.items()
+    )
+
+
+def median_and_quartiles(values: Sequence[float]) -> tuple[float, Pair]:
+    """Return the median and, by linear interpolation, the first and third quartile."""
+    ordered = sorted(values)
+    if len(ordered) == 1:
+        return ordered[0], (ordered[0], ordered[0])
+    return _quantile(ordered, 0.5), (_quantile(ordered, 0.25), _quantile(ordered, 0.75))
+
+
+def _quantile(ordered: Sequence[float], share: float) -> float:
+    place = share * (len(ordered) - 1)
+    k = min(math.floor(place), len(ordered) - 2)
+    low, high = ordered[k], ordered[k + 1]
+    part = place - k
+    if part == 0.0 or low == high:
+        return low
+    return low + part * (high - low)
+
+
+def _folded(label: str, runs: Sequence[RunIndices]) -> RunIndices:
+    first = runs[0]
+    for run in runs[1:]:
+        if set(run.joints) != set(first.joints):
+            raise SeriesError(
+                f"repeats of {label!r} do not have the same joints: {', '.join(first.joints)} "
+                f"and {', '.join(run.joints)}"
+            )
+        if run.spread is not None or first.spread is not None:
+            raise SeriesError(
+                f"runs of {label!r} are medians already and cannot be folded again: give the "
+                "single runs, or another label"
+            )
+    quantities = tuple(q for q in first.quantities if all(q in run.quantities for run in runs))
+    quartiles: dict[str | None, dict[str, Pair]] = {}
+
+    def medians(joint: str | None) -> dict[str, float]:
+        found, quartiles[joint] = {}, {}
+        for quantity in sorted(quantities, key=lambda each: joint is None and each in NORMS):
+            values = [run.value(quantity, joint) for run in runs]
+            if not any(map(math.isnan, values)):
+                found[quantity.key], quartiles[joint][quantity.key] = median_and_quartiles(values)
+        return found
+
+    return RunIndices(
+        label=label,
+        joints={name: medians(name) for name in first.joints},
+        totals=medians(None),
+        quantities=quantities,
+        conditions=first.conditions,
+        spread=Spread(len(runs), quartiles),
+        angle_unit=first.angle_unit,
+        lacking={joint: merged for joint in first.joints if (merged := _lacking(runs, joint))},
+        assumed={data: text for run in reversed(runs) for data, text in run.assumed.items()},
+        cut=next((run.cut for run in runs if run.cut), ""),
+        slides=frozenset().union(*(run.slides for run in runs)),
+    )
+
+
+def _lacking(runs: Sequence[RunIndices], joint: str) -> dict[Data, str]:
+    """Return what any of the repeats lacks: its median is not defined."""
+    return {
+        data: reason
+        for run in reversed(runs)
+        for data, reason in run.lacking.get(joint, {}).items()
+    }
 
 
 # Half of the last digit that tables show: what reads as 1.000 is called equal.
@@ -435,3 +516,61 @@ def _change(value: float, kind: Verdict) -> str:
 def enumerate_words(items: list[str]) -> str:
     """Return items as a list in words."""
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
+
+
+BySeed = Mapping[int, float]  # a number of each run, by its seed
+
+
+@dataclass(frozen=True)
+class EngineTotal:
+    """One number of one controller in two engines."""
+
+    experiment: str  # name of the experiment
+    controller: str  # label of the controller
+    quantity: Quantity  # which number
+    values: Mapping[str, BySeed]  # by engine, the one that the other is held against first
+    ratios: Mapping[str, BySeed] = field(default_factory=dict)
+    unit: str = ""  # of the number; that of joints which turn if empty
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", self.unit or self.quantity.unit)
+
+    @property
+    def distances(self) -> dict[int, float]:
+        """The second engine's number over the first's with the same seed, less 1, by seed."""
+        against, own = self.values.values()
+        found = {seed: ratio(own[seed], against[seed]) - 1.0 for seed in own if seed in against}
+        return {seed: each for seed, each in found.items() if not math.isnan(each)}
+
+    @property
+    def distance(self) -> float | None:
+        """Median of the distances; None if no seed has run in both engines."""
+        return median([*self.distances.values()])
+
+    @property
+    def largest_distance(self) -> float | None:
+        """Of the distances, the one that is farthest from 0."""
+        return max(self.distances.values(), key=abs, default=None)
+
+
+def median(values: Sequence[float]) -> float | None:
+    """Return the median of some numbers; None of none."""
+    return median_and_quartiles(values)[0] if values else None
+
+
+def engine_mapping(totals: Iterable[EngineTotal]) -> dict[str, object]:
+    """Return medians, ratios and distances by experiment, controller and quantity, for JSON."""
+    found: dict[str, dict[str, dict[str, object]]] = {}
+    for total in totals:
+        of_experiment = found.setdefault(total.experiment, {})
+        of_experiment.setdefault(total.controller, {})[total.quantity.key] = {
+            "values": _medians(total.values),
+            "ratios": _medians(total.ratios),
+            "distance": for_json(total.distance),
+            "largest_distance": for_json(total.largest_distance),
+        }
+    return {**found}
+
+
+def _medians(numbers: Mapping[str, BySeed]) -> dict[str, float | None]:
+    return {engine: for_json(median(list(each.values()))) for engine, each in numbers.items()}

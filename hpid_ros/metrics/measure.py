@@ -16,15 +16,20 @@ from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError,
 from hpid_ros.base.files import load_json
 from hpid_ros.base.names import is_label
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.messages.messages import read_robot_descriptions
+from hpid_ros.messages.messages import read_retunes, read_robot_descriptions
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import RunSeries
+from hpid_ros.messages.series import RunSeries, quality_lines
 from hpid_ros.messages.storage import custom_data, recorded_slides
-from hpid_ros.metrics.comparison import Comparison, Cut, common_cuts, mismatches
-from hpid_ros.metrics.folding import fold_repeats, quality_lines
-from hpid_ros.metrics.laws import gains_of_runs, read_retunes
-from hpid_ros.metrics.quantities import INDICES, NORMS, Data, Gains, find_quantities
+from hpid_ros.metrics.comparison import Comparison, Cut, common_cuts, fold_repeats, mismatches
+from hpid_ros.metrics.quantities import (
+    INDICES,
+    NORMS,
+    Data,
+    Gains,
+    find_quantities,
+    gains_of_runs,
+)
 from hpid_ros.metrics.results import (
     DEFAULT_CUTOFF,
     RunIndices,

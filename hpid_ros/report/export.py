@@ -8,8 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from hpid_ros.base.text import csv_text, shown
-from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.folding import EngineTotal, median
+from hpid_ros.metrics.comparison import Comparison, EngineTotal, median
 from hpid_ros.metrics.quantities import (
     EFFORT_L2,
     ERROR_L2,

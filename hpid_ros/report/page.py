@@ -23,9 +23,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
 from hpid_ros.base.text import shown
-from hpid_ros.messages.series import RunSeries, SeriesError
+from hpid_ros.messages.series import QUALITY_COLUMNS, RunSeries, SeriesError, quality_rows
 from hpid_ros.metrics.comparison import Comparison, Verdict, answer
-from hpid_ros.metrics.folding import COLUMNS, quality_rows
 from hpid_ros.metrics.measure import Parameters
 from hpid_ros.metrics.quantities import QUANTITIES, Gains, Quantity
 from hpid_ros.metrics.results import RunIndices
@@ -316,7 +315,7 @@ def data_quality(runs: Sequence[RunSeries]) -> Iterator[Block]:
         references = {each.reference for each in quality.joints.values()}
         yield Paragraph(f"Reference: {', '.join(sorted(references))}.")
         rows = [row for joint, each in quality.joints.items() for row in quality_rows(joint, each)]
-        yield PlainTable.of(f"Recording of {run.label}", COLUMNS, rows)
+        yield PlainTable.of(f"Recording of {run.label}", QUALITY_COLUMNS, rows)
 
 
 def _overall_table(

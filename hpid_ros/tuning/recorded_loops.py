@@ -18,8 +18,7 @@ from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.messages.batches import TopicBatch
-from hpid_ros.messages.columns import JOINT_STATE
+from hpid_ros.messages.columns import JOINT_STATE, TopicBatch
 from hpid_ros.messages.joint_state import EffortReader, JointReader, JointSample, RobotReader
 from hpid_ros.messages.joint_trajectory import decode_float64
 from hpid_ros.messages.messages import PARAMETER_EVENTS, parameter_changes, read_event

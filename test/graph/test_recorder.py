@@ -21,6 +21,7 @@ from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.series import quality_lines
 from hpid_ros.messages.storage import (
     MISSED,
     STOOD_STILL,
@@ -31,7 +32,6 @@ from hpid_ros.messages.storage import (
     time_stood_still,
 )
 from hpid_ros.messages.writer import BagWriter, repair_bag
-from hpid_ros.metrics.folding import quality_lines
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
 from hpid_ros.report.page import Paragraph, data_quality
 

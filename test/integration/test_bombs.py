@@ -18,7 +18,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.yaml_files import MOST_LEVELS, load_yaml
 from hpid_ros.cli.main import main
-from hpid_ros.messages.batches import LIMIT_VARIABLE, zstd_library
+from hpid_ros.messages.mcap_file import LIMIT_VARIABLE, zstd_library
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.storage import PARAMETERS
 from hpid_ros.messages.writer import BagWriter

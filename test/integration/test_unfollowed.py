@@ -6,9 +6,14 @@ import pytest
 from hpid_ros.experiment.compare import Result, save_numbers
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.result_folder import ResultFolder
-from hpid_ros.messages.series import JointSeries, RunSeries
+from hpid_ros.messages.series import (
+    JointSeries,
+    RunSeries,
+    quality_lines,
+    unfollowed,
+    unfollowed_lines,
+)
 from hpid_ros.metrics import Comparison, run_indices
-from hpid_ros.metrics.folding import quality_lines, unfollowed, unfollowed_lines
 
 TIME = np.linspace(0.0, 4.0, 4001)
 MOVE = np.clip(TIME - 1.0, 0.0, 0.5)  # at rest, half a radian in half a second, at rest

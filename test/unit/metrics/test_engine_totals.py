@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.metrics.folding import EngineTotal, engine_mapping
+from hpid_ros.metrics.comparison import EngineTotal, engine_mapping
 from hpid_ros.metrics.quantities import ITAE, IVC
 from hpid_ros.report.export import engine_grids, engines_csv, format_distance
 from hpid_ros.report.table import grids_markdown, grids_text

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.messages.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.metrics.comparison import Comparison, mismatches
-from hpid_ros.metrics.folding import fold_repeats, median_and_quartiles
+from hpid_ros.metrics.comparison import Comparison, fold_repeats, median_and_quartiles, mismatches
 from hpid_ros.metrics.quantities import (
     ENERGY,
     ERROR_L2,

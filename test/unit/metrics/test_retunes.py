@@ -6,9 +6,8 @@ from harness.bags import JOINT_STATE, MS, parameter_event
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.messages import PARAMETER_EVENTS
+from hpid_ros.messages.messages import PARAMETER_EVENTS, read_retunes
 from hpid_ros.messages.writer import BagWriter
-from hpid_ros.metrics.laws import read_retunes
 
 WALL_NS = 1_700_000_000_000_000_000  # the recorder's clock, far from the states'
 

@@ -21,11 +21,9 @@ from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.assembly import make_law, make_norm, make_velocity_source
 from hpid_ros.control.settings import NormSettings, VelocitySettings
 from hpid_ros.messages.series import JointSeries, Retune, RunSeries
-from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.folding import fold_repeats
+from hpid_ros.metrics.comparison import Comparison, fold_repeats
 from hpid_ros.metrics.indices import chatter, l2_norm
-from hpid_ros.metrics.laws import gain_signals
-from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, norm_over_joints
+from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, gain_signals, norm_over_joints
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.figures import NO_RUN, PAPER, RUN_STYLES, figures_of, phase_curve
 from hpid_ros.report.plots import (
