@@ -1,4 +1,4 @@
-"""Messages of a bag that are read one by one: descriptions, parameter events.
+"""Messages of a bag that are read one by one: poses, descriptions, parameter events.
 
 For topics of a few messages; what comes a thousand times a second is read as columns.
 """
@@ -18,6 +18,7 @@ from hpid_ros.base.errors import BagError, MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.settings import LOOP_PARAMETERS
 from hpid_ros.messages.columns import JOINT_STATE
+from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.messages.reports import (
     ODOMETRY,
     POSES,
@@ -28,7 +29,7 @@ from hpid_ros.messages.reports import (
     decode_parameter_event,
     decode_text,
 )
-from hpid_ros.messages.selection import find_topic, matching
+from hpid_ros.messages.selection import BagSelection, choose_topics, find_topic, matching
 from hpid_ros.messages.series import Retune
 from hpid_ros.messages.storage import Storage
 from hpid_ros.messages.writer import jazzy_types
@@ -154,6 +155,23 @@ def odometry_topics(bag: Path) -> list[str]:
     """Return the names of a bag's topics of odometry."""
     with Storage(bag) as storage:
         return [name for name, info in storage.topics().items() if info.type == ODOMETRY]
+
+
+def measures_velocity(path: Path, joint: str) -> bool:
+    """Return whether the first state of a joint in a bag has a velocity."""
+    reader = JointReader(joint)
+    with Storage(path) as bag:
+        types = {name: info.type for name, info in bag.topics().items()}
+        states = choose_topics(f"bag {path}", types, BagSelection()).states
+        for batch in bag.batches(frozenset(states)):
+            for raw in batch.raws():
+                try:
+                    sample = reader.read(raw)
+                except MessageError:
+                    continue
+                if sample is not None:
+                    return sample.velocity is not None
+    return False
 
 
 TEXT = "std_msgs/msg/String"

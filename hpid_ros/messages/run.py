@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
-from hpid_ros.base.errors import BagError, MessageError, unknown_name
-from hpid_ros.messages.joint_run import JointRun, Window
-from hpid_ros.messages.joint_state import JointReader
+import numpy as np
+
+from hpid_ros.base.errors import BagError, unknown_name
+from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
+from hpid_ros.messages.columns import (
+    LARGEST,
+    Integers,
+    JointSamples,
+    Ordered,
+    carried,
+    finite,
+    ordered,
+)
+from hpid_ros.messages.joint_trajectory import TrajectoryArrays
 from hpid_ros.messages.selection import BagSelection, RecordedRun, TopicChoice, choose_topics
 from hpid_ros.messages.series import (
+    HOLD,
+    MEASURED,
+    NO_EFFORT,
+    NONE,
     DataQuality,
+    JointSeries,
+    Losses,
     RecordingQuality,
     RunSeries,
     SeriesError,
@@ -24,6 +42,418 @@ from hpid_ros.messages.storage import (
     no_progress,
     time_stood_still,
 )
+from hpid_ros.motion.joint_trajectory import (
+    Column,
+    JointTrajectory,
+    Knot,
+    ReferenceSample,
+    SplineReference,
+    segment,
+)
+
+
+class ReferenceEvent(NamedTuple):
+    """A trajectory or setpoint of one joint, and its place in the log."""
+
+    log_time_ns: int  # [ns] when it was recorded
+    place: int  # its place in the files
+    column: Column  # what the joint follows
+
+
+class _Span(NamedTuple):
+    """A reference, its knots, and the index of the first state that it holds for."""
+
+    begin: int
+    reference: SplineReference
+    times_ns: list[int]
+    knots: list[Knot]
+
+
+def setpoint_events(joint: str, setpoints: JointSamples) -> Iterator[ReferenceEvent]:
+    """Yield setpoints as trajectories of one point that are taken at once."""
+    columns = (part.tolist() for part in setpoints[1:])
+    for log_time_ns, place, position in zip(*columns, strict=True):
+        yield ReferenceEvent(log_time_ns, place, Column(joint, (Knot(0, position),)))
+
+
+def sample_setpoints(
+    setpoints: JointSamples, states: JointSamples, stamps_ns: Integers, first_position: float
+) -> Numbers | None:
+    """Return what :func:`sample_events` gives for setpoints alone, all at once."""
+    order = np.lexsort((setpoints.places, setpoints.log_times_ns))
+    log_times, places = setpoints.log_times_ns[order], setpoints.places[order]
+    following = np.searchsorted(states.log_times_ns, log_times)
+    last = np.searchsorted(states.log_times_ns, log_times, "right")
+    for index in np.flatnonzero(following < last).tolist():  # logged in the same nanosecond
+        following[index] = states.first_after(int(log_times[index]), int(places[index]))
+    is_heard = following < len(states.stamps_ns)
+    begins = np.searchsorted(stamps_ns, states.stamps_ns[following[is_heard]])
+    if (begins[1:] < begins[:-1]).any():
+        return None
+    positions = np.concatenate(([first_position], setpoints.values[order][is_heard]))
+    # Of several before one state the last stands.
+    sampled: Numbers = positions[np.searchsorted(begins, np.arange(len(stamps_ns)), "right")]
+    return sampled
+
+
+def sample_events(
+    events: Iterable[ReferenceEvent],
+    states: JointSamples,
+    stamps_ns: Integers,
+    first_position: float,
+) -> Numbers:
+    """Sample the reference of a joint at each of its states.
+
+    As in :class:`hpid_ros.control.JointLoop`, a trajectory takes over with the next state (the
+    first that was logged after it) from where the reference stood at the state before, also when
+    its stamp lies ahead. A stamp earlier than that state moves the take-over back to the stamp:
+    a recorder that started late got the latched message later than the controllers. A later
+    message supersedes an earlier one. Before any the joint holds its first position.
+    """
+    spans: list[_Span] = []
+    for event in events:
+        begin = first_state(event, states, stamps_ns)
+        if begin == len(stamps_ns):
+            continue
+        while spans and spans[-1].begin >= begin:
+            spans.pop()
+        before = ReferenceSample(first_position, 0.0, 0.0)
+        if spans:
+            before = spans[-1].reference.sample(int(stamps_ns[begin - 1]))
+        spans.append(_span(begin, event.column, int(stamps_ns[begin]), before))
+    reference = np.full(len(stamps_ns), first_position)
+    end = len(stamps_ns)
+    for span in reversed(spans):
+        _fill(reference[span.begin : end], span, stamps_ns[span.begin : end])
+        end = span.begin
+    return reference
+
+
+def first_state(event: ReferenceEvent, states: JointSamples, stamps_ns: Integers) -> int:
+    """Return the index of the first state under a reference; the length if there is none."""
+    begin = len(stamps_ns)
+    following = states.first_after(event.log_time_ns, event.place)
+    if following < len(states.stamps_ns):
+        begin = int(np.searchsorted(stamps_ns, states.stamps_ns[following]))
+    if event.column.stamp_ns:
+        begin = min(begin, int(np.searchsorted(stamps_ns, event.column.stamp_ns)))
+    return begin
+
+
+def _span(begin: int, column: Column, now_ns: int, before: ReferenceSample) -> _Span:
+    """Start a column, keeping its knots as :class:`SplineReference` has them."""
+    reference = column.start(now_ns, before.position, before.velocity)
+    start_ns = column.stamp_ns or now_ns
+    knots: Sequence[Knot] = column.knots
+    first = knots[0]
+    if now_ns - start_ns < first.time_ns:
+        acceleration = None if first.acceleration is None else 0.0
+        here = Knot(now_ns - start_ns, before.position, before.velocity, acceleration)
+        knots = (here, *knots)
+    return _Span(begin, reference, [start_ns + knot.time_ns for knot in knots], list(knots))
+
+
+def _fill(target: Numbers, span: _Span, stamps_ns: Integers) -> None:
+    """Sample one reference at ascending stamps, to the bit as :class:`SplineReference` does."""
+    knots, times = span.knots, span.times_ns
+    bounds = [0, *np.searchsorted(stamps_ns, times).tolist(), len(stamps_ns)]
+    for index in range(-1, len(knots)):
+        begin, end = bounds[index + 1], bounds[index + 2]
+        if begin == end:
+            continue
+        if 0 <= index < len(knots) - 1:
+            c0, c1, c2, c3, c4, c5 = segment(knots[index], knots[index + 1])
+        else:
+            c0, c1, c2, c3, c4, c5 = (knots[max(index, 0)].position, 0.0, 0.0, 0.0, 0.0, 0.0)
+        from_ns = times[index] if index >= 0 else int(stamps_ns[begin])
+        t = (stamps_ns[begin:end] - from_ns) * SECONDS_PER_NANOSECOND
+        target[begin:end] = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
+
+
+def _overlap(one: Integers, other: Integers) -> bool:
+    """Return whether two ranges of times have something in common."""
+    return bool(one.min() <= other.max() and other.min() <= one.max())
+
+
+_RESET_NS = 1_000_000_000
+"""By which a clock that was set back goes back at least; less is disorder on the way."""
+_STRAYS = 30  # states that come so much late; more are a clock of their own
+_RUN_SPACING_NS = 1_000_000_000_000_000
+"""Added to the stamps of each run after another one: longer than any run."""
+_FOREVER_NS = 2**63 - 1
+_EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
+
+
+class Window(NamedTuple):
+    """The time that is read, both ends included."""
+
+    origin_ns: int  # [ns] first state of any joint
+    first_ns: int  # [ns] its first instant
+    last_ns: int  # [ns] its last instant
+
+
+_Reference = tuple[Numbers, str, int, int | None]
+"""A joint's reference at its states, kind and topic, its messages, when it began, in [ns]."""
+
+
+class JointRun:
+    """One joint of a recording; taking it frees the recording's columns."""
+
+    def __init__(self, recording: RecordedRun, joint: str, selection: BagSelection) -> None:
+        self._recording, self._joint, self._selection = recording, joint, selection
+        self._clock = clock = selection.clock
+        taken = recording.take_states(joint)
+        if taken is None:
+            raise SeriesError(f"joint {joint!r}: no state carries its position")
+        samples, not_finite = self._finite(taken, "position", "state")
+        self._header_ns = samples.stamps_ns
+        self._samples = samples._replace(stamps_ns=self._times(samples))
+        if not selection.separates_runs:
+            self._require_one_run()
+        self.states = ordered(self._samples.stamps_ns, samples.values, not_finite)
+        if clock == "header" and len(samples.values) > 1 and not self.states.stamps_ns.any():
+            raise SeriesError(
+                f"joint {joint!r}: its states carry no stamps; read them with clock 'receive'"
+            )
+
+    def _require_one_run(self) -> None:
+        """Refuse runs on a clock that began again: they would be laid over each other."""
+        stamps_ns = self._samples.stamps_ns
+        behind = np.maximum.accumulate(stamps_ns) - stamps_ns
+        if np.count_nonzero(behind >= _RESET_NS) > _STRAYS:
+            raise SeriesError(
+                f"joint {self._joint!r}: the clock of its states went back by "
+                f"{behind.max() / NANOSECONDS:.3g} s, or two senders have clocks of their own; "
+                f"read them with clock 'receive'"
+            )
+
+    def series(self, window: Window) -> tuple[JointSeries, Losses, DataQuality] | None:
+        """Return the series, losses and quality within a window; None without a state in it."""
+        whole = self.states
+        states = whole.within(window.first_ns, window.last_ns)
+        if not len(states.stamps_ns):
+            return None
+        reference, kind, count, begin = self._reference(whole, window)
+        commands, command_clock, effort = self._commands()
+        commands = commands.within(window.first_ns, window.last_ns)
+        if np.array_equal(commands.stamps_ns, states.stamps_ns):
+            commands = commands._replace(stamps_ns=states.stamps_ns)
+        losses, answers = self._losses(states, commands, command_clock)
+        if len(reference):
+            reference = Ordered(whole.stamps_ns, reference).within(*window[1:]).values
+        for array in (*states[:2], *commands[:2], reference):
+            array.setflags(write=False)
+        series = JointSeries(self._joint, *states[:2], reference, *commands[:2])
+        quality = DataQuality(
+            states=states.quality(window.origin_ns),
+            commands=commands.quality(window.origin_ns),
+            state_clock=self._clock,
+            command_clock=command_clock,
+            answers_states=answers,
+            reference=kind,
+            references=count,
+            reference_from=None if begin is None else (begin - window.origin_ns) / NANOSECONDS,
+            effort=effort if len(commands.stamps_ns) else NONE,
+            no_effort="" if len(commands.stamps_ns) else self._no_effort,
+        )
+        return series, losses, quality
+
+    def _times(self, samples: JointSamples) -> Integers:
+        """Return the samples' times on the chosen clock, with runs that began again separated."""
+        times = samples.stamps_ns if self._clock == "header" else samples.log_times_ns
+        if not self._selection.separates_runs:
+            return times
+        resets = np.diff(times) <= -_RESET_NS
+        later: Integers = times + _RUN_SPACING_NS * np.concatenate([[0], np.cumsum(resets)])
+        return later
+
+    def _commands(self) -> tuple[Ordered, str, str]:
+        """Return the commands in the order of their stamps, whose clock these are, their topic."""
+        choice = self._recording.choice
+        self._no_effort = NO_EFFORT
+        if not choice.has_commands:
+            self._no_effort = "no efforts were read, as asked for"
+        elif choice.in_doubt:
+            self._no_effort += f" as such ({', '.join(choice.in_doubt)} may carry them)"
+        command = choice.command_topics.get(self._joint)
+        if command is not None:
+            samples = self._recording.floats[command.topic].take(self._joint)
+            if samples is not None:
+                return self._unstamped(samples), "receive", command.topic
+        for topic, stream in self._recording.commands.items():
+            samples = stream.take(self._joint)
+            if samples is None:
+                continue
+            if choice.is_measured:
+                return self._measured(samples), self._clock, f"{MEASURED}, of {topic}"
+            if self._is_unstamped(samples):
+                return self._unstamped(samples), "receive", topic
+            samples, not_finite = self._finite(samples, "effort", "command")
+            return ordered(self._times(samples), samples.values, not_finite), self._clock, topic
+        return _EMPTY, self._clock, ""
+
+    def _measured(self, samples: JointSamples) -> Ordered:
+        """Return measured efforts; none where the driver fills the field without measuring."""
+        samples, not_finite = finite(samples)
+        is_asked_for = self._selection.commands is not None
+        if not len(samples.values) or not (is_asked_for or samples.values.any()):
+            state = "not a number" if not len(samples.values) else "zero"
+            topic = " and ".join(self._recording.choice.states)
+            self._no_effort = f"the efforts that {topic} measured are {state} throughout"
+            return _EMPTY
+        return ordered(self._times(samples), samples.values, not_finite)
+
+    def _is_unstamped(self, samples: JointSamples) -> bool:
+        """Tell whether messages that should have stamps have none."""
+        is_stamped = self._clock == "header" and len(samples.values) > 1
+        return is_stamped and not samples.stamps_ns.any()
+
+    def _is_on_another_clock(self, samples: JointSamples) -> bool:
+        """Tell whether messages were received beside the states, and stamped at another time."""
+        mine = self._samples
+        return (
+            self._clock == "header"
+            and not _overlap(samples.stamps_ns, mine.stamps_ns)
+            and _overlap(samples.log_times_ns, mine.log_times_ns)
+        )
+
+    def _unstamped(self, samples: JointSamples) -> Ordered:
+        samples, not_finite = self._finite(samples, "effort", "command")
+        times, states = samples.log_times_ns, self._samples
+        if self._clock == "header":
+            times = carried(times, states.log_times_ns, states.stamps_ns)
+        return ordered(times, samples.values, not_finite)
+
+    def _finite(self, samples: JointSamples, what: str, message: str) -> tuple[JointSamples, int]:
+        """Return the samples whose numbers can be a joint's, at least one, and how many cannot."""
+        samples, not_finite = finite(samples)
+        if not len(samples.values):
+            raise SeriesError(
+                f"joint {self._joint!r}: {what} must be finite and below {LARGEST:g}, but no "
+                f"{message}'s is"
+            )
+        return samples, not_finite
+
+    def _losses(self, states: Ordered, commands: Ordered, clock: str) -> tuple[Losses, bool]:
+        """Return what went missing, and whether commands answer states at all."""
+        count = len(states.stamps_ns)
+        if not len(commands.stamps_ns):
+            choice = self._recording.choice
+            return Losses(count if choice.has_commands and not choice.is_measured else 0, 0), True
+        if commands.stamps_ns is states.stamps_ns:
+            return Losses(0, commands.repeated), True
+        places = np.searchsorted(commands.stamps_ns, states.stamps_ns)
+        places = np.minimum(places, len(commands.stamps_ns) - 1)
+        answered = int(np.count_nonzero(commands.stamps_ns[places] == states.stamps_ns))
+        if clock == "receive" or not answered:
+            return Losses(0, commands.repeated), False
+        return Losses(count - answered, commands.repeated), True
+
+    def _reference(self, states: Ordered, window: Window) -> _Reference:
+        """Return the reference at the states and where it comes from; none without one."""
+        asked = self._selection.reference
+        if asked == HOLD:
+            held = np.full(len(states.stamps_ns), states.values[0])
+            return held, HOLD, 0, None
+        if isinstance(asked, JointTrajectory):
+            trajectories, setpoints = self._given(asked, window), None
+        else:
+            trajectories = [
+                (f"trajectory {topic}", self._on_clock(log_time_ns, place, arrays))
+                for log_time_ns, place, topic, arrays in self._recording.trajectories
+                if self._joint in arrays.names
+            ]
+            trajectories.sort(key=lambda each: each[1][:2])
+            setpoints = self._setpoints()
+        if trajectories or setpoints is not None:
+            return self._followed(trajectories, setpoints, states)
+        for topic, stream in self._recording.sampled.items():
+            taken = stream.take(self._joint)
+            samples, not_finite = (None, 0) if taken is None else finite(taken)
+            if samples is not None and len(samples.values):
+                return self._sampled(topic, samples, not_finite, states)
+        return np.empty(0), NONE, 0, None
+
+    def _sampled(
+        self, topic: str, samples: JointSamples, not_finite: int, states: Ordered
+    ) -> _Reference:
+        """Return a sampled reference at the states: linear between, constant after its samples."""
+        is_sampled = topic in self._recording.choice.references.sampled
+        kind = f"{'sampled' if is_sampled else 'controller_state'} {topic}"
+        times = self._times(samples)
+        if self._is_unstamped(samples) or self._is_on_another_clock(samples):
+            mine = self._samples
+            times = carried(samples.log_times_ns, mine.log_times_ns, mine.stamps_ns)
+            kind += ", by the times at which it was received"
+        known = ordered(times, samples.values, not_finite)
+        origin = known.stamps_ns[0]  # differences of stamps are exact as doubles, stamps are not
+        values = np.interp(
+            (states.stamps_ns - origin).astype(float),
+            (known.stamps_ns - origin).astype(float),
+            known.values,
+            left=states.values[0],
+        )
+        return values, kind, len(samples.values), max(int(origin), int(states.stamps_ns[0]))
+
+    def _followed(
+        self,
+        trajectories: list[tuple[str, ReferenceEvent]],
+        setpoints: tuple[str, JointSamples] | None,
+        states: Ordered,
+    ) -> _Reference:
+        """Return the reference that trajectories and setpoints make together."""
+        logged, stamps_ns = self._samples, states.stamps_ns
+        first = float(states.values[0])
+        kinds = dict.fromkeys(kind for kind, _ in trajectories)
+        events = [event for _, event in trajectories]
+        count, values = len(events), None
+        if setpoints is not None:
+            kind, positions = setpoints
+            kinds[kind] = None
+            count += len(positions.values)
+            if not events:
+                values = sample_setpoints(positions, logged, stamps_ns, first)
+            events += setpoint_events(self._joint, positions)
+            events.sort(key=lambda each: each[:2])
+        # Where setpoints could be sampled at once, they take effect in the order of the log.
+        taken = events if values is None else events[:1]
+        begin = min(first_state(each, logged, stamps_ns) for each in taken)
+        begin_ns = int(stamps_ns[begin]) if begin < len(stamps_ns) else None
+        if values is None:
+            values = sample_events(events, logged, stamps_ns, first)
+        return values, " and ".join(kinds), count, begin_ns
+
+    def _given(
+        self, trajectory: JointTrajectory, window: Window
+    ) -> list[tuple[str, ReferenceEvent]]:
+        """Return a trajectory that was followed from the first state of any joint on."""
+        if self._joint not in trajectory.joint_names:
+            return []
+        column = trajectory.column(self._joint)
+        if window.origin_ns > 0:
+            column = replace(column, stamp_ns=window.origin_ns)
+        return [("given", ReferenceEvent(-_FOREVER_NS, -1, column))]
+
+    def _setpoints(self) -> tuple[str, JointSamples] | None:
+        """Return the setpoints of the joint with kind and topic; None if it has none."""
+        topic = self._recording.choice.references.setpoint.get(self._joint, "")
+        samples = self._recording.setpoints[topic].take(self._joint) if topic else None
+        if samples is None:
+            return None
+        samples, _ = finite(samples)
+        return (f"setpoint {topic}", samples) if len(samples.values) else None
+
+    def _on_clock(self, log_time_ns: int, place: int, arrays: TrajectoryArrays) -> ReferenceEvent:
+        """Return a trajectory with its start carried to the clock of the series."""
+        column, header, states = arrays.column(self._joint), self._header_ns, self._samples
+        if self._clock != "header" and column.stamp_ns:
+            following = min(states.first_after(log_time_ns, place), len(header) - 1)
+            start_ns = column.stamp_ns + int(states.stamps_ns[following] - header[following])
+            if not header.any() or start_ns <= 0:
+                start_ns = 0  # the states' headers do not say when it began
+            column = replace(column, stamp_ns=start_ns)
+        return ReferenceEvent(log_time_ns, place, column)
+
 
 _SHOWN_JOINTS = 3
 
@@ -60,7 +490,7 @@ def read_run(
     """
     chosen = selection or BagSelection()
     if joints is not None:
-        chosen = replace(chosen, joints=tuple(joints))
+        chosen = replace(chosen, joints=joints)
     with Storage(path) as storage:
         where = f"bag {storage.path}"
         try:
@@ -70,20 +500,17 @@ def read_run(
                 raise
             # What is missing may be in what could not be read.
             raise BagError(f"{error} ({'; '.join(storage.unreadable)})") from error
-        unreadable = [*storage.unreadable, *_undecodable(where, recording)]
-        own = storage.custom_data
-        try:
-            run = _run(label, recording, _joints(where, recording, chosen), chosen)
-        except SeriesError as error:
-            raise BagError(f"{where}: {error}") from error
-    quality = replace(
-        run.quality,
-        source=str(path),
-        unreadable=tuple(unreadable),
-        missed=missed_messages(own),
-        stood_still=time_stood_still(own),
-    )
-    return replace(run, quality=quality)
+        quality = RecordingQuality(
+            source=str(path),
+            unreadable=(*storage.unreadable, *_undecodable(where, recording)),
+            missed=missed_messages(storage.custom_data),
+            stood_still=time_stood_still(storage.custom_data),
+        )
+    joints = _joints(where, recording, chosen)
+    try:
+        return _run(label, recording, joints, chosen, quality)
+    except SeriesError as error:
+        raise BagError(f"{where}: {error}") from error
 
 
 def _recording(
@@ -171,24 +598,35 @@ def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequ
 
 
 def _run(
-    label: str, recording: RecordedRun, joints: Sequence[str], selection: BagSelection
+    label: str,
+    recording: RecordedRun,
+    joints: Sequence[str],
+    selection: BagSelection,
+    quality: RecordingQuality,
 ) -> RunSeries:
     """Return the series of all joints within the window."""
     runs = {joint: JointRun(recording, joint, selection) for joint in joints}
     origin_ns = min(int(run.states.stamps_ns[0]) for run in runs.values())
-    window = Window.of(origin_ns, selection.start, selection.end)
+    start, end = selection.start, selection.end
+    window = Window(
+        origin_ns,
+        -_FOREVER_NS if start is None else origin_ns + round(start * NANOSECONDS),
+        _FOREVER_NS if end is None else origin_ns + round(end * NANOSECONDS),
+    )
     series, losses, qualities = [], {}, {}
     for joint in joints:
-        joint_run = runs.pop(joint)
-        if selection.joints is None and not joint_run.is_within(window):
+        found = runs.pop(joint).series(window)
+        if found is not None:
+            one, losses[joint], qualities[joint] = found
+            series.append(one)
+        elif selection.joints is None:
             recording.notes.append(f"joint {joint!r} is left out: it has no state in the window")
-            continue
-        one, losses[joint], qualities[joint] = joint_run.series(window)
-        series.append(one)
+        else:
+            raise SeriesError(f"joint {joint!r}: no state in the window")
     if not series:
-        raise SeriesError(f"no joint has a state from {selection.start} s to {selection.end} s")
+        raise SeriesError(f"no joint has a state from {start} s to {end} s")
     recording.notes.extend(_foreign_clocks(qualities))
-    quality = RecordingQuality(joints=qualities, notes=tuple(recording.notes))
+    quality = replace(quality, joints=qualities, notes=tuple(recording.notes))
     return RunSeries(label, tuple(series), losses, quality=quality)
 
 
@@ -209,20 +647,3 @@ def _foreign_clocks(qualities: Mapping[str, DataQuality]) -> Iterator[str]:
 
 def _span_of(stamps: StampQuality) -> str:
     return f"{stamps.begin:.3f} s to {stamps.end:.3f} s"
-
-
-def measures_velocity(path: Path, joint: str) -> bool:
-    """Return whether the first state of a joint in a bag has a velocity."""
-    reader = JointReader(joint)
-    with Storage(path) as bag:
-        types = {name: info.type for name, info in bag.topics().items()}
-        states = choose_topics(f"bag {path}", types, BagSelection()).states
-        for batch in bag.batches(frozenset(states)):
-            for raw in batch.raws():
-                try:
-                    sample = reader.read(raw)
-                except MessageError:
-                    continue
-                if sample is not None:
-                    return sample.velocity is not None
-    return False

@@ -16,8 +16,8 @@ import numpy as np
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.messages.messages import read_retunes
-from hpid_ros.messages.run import measures_velocity, read_run
+from hpid_ros.messages.messages import measures_velocity, read_retunes
+from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import NO_EFFORT, JointSeries, RunSeries
 from hpid_ros.metrics.comparison import Comparison

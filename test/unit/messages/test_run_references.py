@@ -27,7 +27,7 @@ from hpid_ros.base.errors import BagError
 from hpid_ros.control import Gains, JointLoop
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.columns import JointSamples
-from hpid_ros.messages.joint_run import (
+from hpid_ros.messages.run import (
     ReferenceEvent,
     sample_events,
     sample_setpoints,
