@@ -15,25 +15,16 @@ from harness.graph import ros_arguments
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.base.errors import BagError
 from hpid_ros.base.names import PROFILE_FILES
-from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.run import read_run
-from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import quality_lines
 from hpid_ros.messages.storage import (
     MISSED,
     STOOD_STILL,
     custom_data,
-    missed_entries,
-    missed_messages,
     recorded_slides,
-    time_stood_still,
 )
-from hpid_ros.messages.writer import BagWriter, repair_bag
+from hpid_ros.messages.writer import repair_bag
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
-from hpid_ros.report.page import Paragraph, data_quality
 
 MS = 1_000_000
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -42,69 +33,6 @@ STATE = JointStateTemplate(["elbow"], position=True, effort=True)
 
 def state(k):
     return STATE.encode(k * MS, position=[0.0], effort=[0.0])
-
-
-@pytest.mark.parametrize(
-    "meddle",
-    [
-        lambda bag: shutil.rmtree(bag),
-        lambda bag: bag.rename(bag.with_name("elsewhere")),
-        lambda bag: (bag / "bag.mcap").unlink(),
-        lambda bag: (bag / "bag.mcap").rename(bag / "other.mcap"),
-        lambda bag: (bag.rename(bag.with_name("old")), bag.mkdir(), (bag / "bag.mcap").touch()),
-    ],
-    ids=["folder deleted", "folder moved", "file deleted", "file moved", "replaced"],
-)
-def test_a_bag_that_is_gone_is_not_flushed_but_refused(tmp_path, meddle):
-    writer = BagWriter(tmp_path / "bag")
-    topic = writer.add_topic("/joint_states", JOINT_STATE)
-    writer.write(topic, 0, state(0))
-    writer.flush()
-    meddle(tmp_path / "bag")
-    writer.write(topic, MS, state(1))
-    with pytest.raises(BagError, match="is gone: it was deleted, moved or replaced"):
-        writer.flush()
-    with pytest.raises(BagError, match="is gone"):
-        writer.write(topic, 2 * MS, state(2))
-    writer.close()
-    # Whatever is there now is not this bag: nothing is written beside it.
-    assert not (tmp_path / "bag" / "metadata.yaml").exists()
-
-
-def bag_that_missed(path, count):
-    with BagWriter(path) as bag:
-        topic = bag.add_topic("/joint_states", JOINT_STATE)
-        for k in range(100):
-            bag.write(topic, k * MS, state(k))
-        for name, text in missed_entries({"/joint_states": count}, 0.5 * count).items():
-            bag.describe(name, text)
-
-
-def test_what_a_recorder_missed_is_told_with_the_numbers(tmp_path, capsys):
-    bag_that_missed(tmp_path / "bag", 7)
-    selection = BagSelection(commands="/joint_states")
-    run = read_run(tmp_path / "bag", "run", selection=selection)
-    line = "the recorder missed 7 messages on /joint_states"
-    assert run.quality.missed == {"/joint_states": 7}
-    assert not run.quality.is_complete
-    assert run.quality.stood_still == 3.5
-    assert f"run 'run': {line}" in list(quality_lines(run))
-    assert "the recorder stood still for 3.5 s" in "".join(quality_lines(run))
-    assert Paragraph(line) in list(data_quality([run]))
-    assert main(["metrics", str(tmp_path / "bag"), "--commands", "/joint_states"]) == 0
-    assert line in capsys.readouterr().err
-    repair_bag(tmp_path / "bag", tmp_path / "repaired")
-    assert read_run(tmp_path / "repaired", "run", selection=selection).quality.missed
-    bag_that_missed(tmp_path / "whole", 0)
-    assert read_run(tmp_path / "whole", "run", selection=selection).quality.is_complete
-
-
-@pytest.mark.parametrize(
-    "text", ["", "no json", "[1]", "nan", "-1", '{"/a": "7", "/b": -1, "/c": true}']
-)
-def test_an_entry_that_is_no_count_is_passed_over(text):
-    assert missed_messages({MISSED: text}) == {}
-    assert time_stood_still({STOOD_STILL: text}) == 0.0
 
 
 def record(harness, bag, **parameters):

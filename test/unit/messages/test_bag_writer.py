@@ -22,9 +22,20 @@ from rosbags.rosbag2 import Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from hpid_ros.base.errors import BagError, ResultExistsError
+from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.storage import custom_data
-from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.series import quality_lines
+from hpid_ros.messages.storage import (
+    MISSED,
+    STOOD_STILL,
+    custom_data,
+    missed_entries,
+    missed_messages,
+    time_stood_still,
+)
+from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos, repair_bag
+from hpid_ros.report.page import Paragraph, data_quality
 
 COMMAND = JointStateTemplate(["elbow"], effort=True)
 
@@ -260,7 +271,7 @@ def fill_disk(bag: Path, limit: int) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
-@pytest.mark.parametrize("chunks", [0.5, 0.99999, 2.3])
+@pytest.mark.parametrize("chunks", [0.99999, 2.3])
 def test_a_full_disk_costs_only_the_messages_that_did_not_fit(tmp_path, chunk_size, chunks):
     path = tmp_path / "bag"
     run = fill_disk(path, int(chunks * chunk_size))
@@ -294,3 +305,63 @@ def test_a_rosbags_that_lacks_what_is_used_is_named_before_anything_is_created(
     with pytest.raises(BagError, match=rf"rosbags 0\.\S+: its {owner.__name__} has no {name}"):
         BagWriter(tmp_path / "bag")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "meddle",
+    [
+        lambda bag: bag.rename(bag.with_name("elsewhere")),
+        lambda bag: (bag / "bag.mcap").unlink(),
+        lambda bag: (bag.rename(bag.with_name("old")), bag.mkdir(), (bag / "bag.mcap").touch()),
+    ],
+    ids=["folder moved", "file deleted", "replaced"],
+)
+def test_a_bag_that_is_gone_is_not_flushed_but_refused(tmp_path, meddle):
+    writer = BagWriter(tmp_path / "bag")
+    topic = add_joint_commands(writer)
+    writer.write(topic, 0, b"x")
+    writer.flush()
+    meddle(tmp_path / "bag")
+    writer.write(topic, MS, b"y")
+    with pytest.raises(BagError, match="is gone: it was deleted, moved or replaced"):
+        writer.flush()
+    with pytest.raises(BagError, match="is gone"):
+        writer.write(topic, 2 * MS, b"z")
+    writer.close()
+    # Whatever is there now is not this bag: nothing is written beside it.
+    assert not (tmp_path / "bag" / "metadata.yaml").exists()
+
+
+def bag_that_missed(path, count):
+    """Write a bag of measured states whose recorder missed so many."""
+    state = JointStateTemplate(["elbow"], position=True, effort=True)
+    entries = missed_entries({"/joint_states": count}, 0.5 * count)
+    with BagWriter(path, metadata=entries) as bag:
+        topic = bag.add_topic("/joint_states", JOINT_STATE)
+        for k in range(100):
+            bag.write(topic, k * MS, state.encode(k * MS, position=[0.0], effort=[1.0]))
+    return path
+
+
+def test_what_a_recorder_missed_is_told_with_the_numbers_and_kept_by_a_repair(tmp_path, capsys):
+    bag = bag_that_missed(tmp_path / "bag", 7)
+    run = read_run(bag, "run")
+    line = "the recorder missed 7 messages on /joint_states"
+    assert run.quality.missed == {"/joint_states": 7}
+    assert not run.quality.is_complete
+    assert f"run 'run': {line}" in list(quality_lines(run))
+    assert "the recorder stood still for 3.5 s" in "".join(quality_lines(run))
+    assert Paragraph(line) in list(data_quality([run]))
+    assert main(["metrics", str(bag)]) == 0
+    assert line in capsys.readouterr().err
+    repair_bag(bag, tmp_path / "repaired")
+    assert read_run(tmp_path / "repaired", "run").quality.missed
+    assert read_run(bag_that_missed(tmp_path / "whole", 0), "run").quality.is_complete
+
+
+@pytest.mark.parametrize(
+    "text", ["", "no json", "[1]", "nan", "-1", '{"/a": "7", "/b": -1, "/c": true}']
+)
+def test_an_entry_that_is_no_count_is_passed_over(text):
+    assert missed_messages({MISSED: text}) == {}
+    assert time_stood_still({STOOD_STILL: text}) == 0.0

@@ -1,16 +1,21 @@
-"""Reports, group commands, parameter events and texts are what another serialiser writes."""
+"""All other messages are what another serialiser writes; parameter events in a bag are found."""
 
 import struct
 
 import numpy as np
 import pytest
+from harness.bags import JOINT_STATE, JOINT_TRAJECTORY, MS, command, parameter_event, state
+from harness.foreign_bags import in_order, states, write
 from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hpid_ros.base.errors import MessageError
+from hpid_ros.cli.commands import DONE
+from hpid_ros.cli.main import main
 from hpid_ros.messages import reports
-from hpid_ros.messages.messages import PARAMETER_EVENTS, read_event
+from hpid_ros.messages.joint_trajectory import decode_trajectory, encode_trajectory
+from hpid_ros.messages.messages import PARAMETER_EVENTS, read_event, read_retunes
 
 NUMBERS = st.floats(allow_nan=False)
 VECTORS = st.tuples(NUMBERS, NUMBERS, NUMBERS)
@@ -18,7 +23,7 @@ POSES = st.tuples(VECTORS, st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS))
 TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
 HEADERS = st.builds(reports.Stamp, STAMPS, TEXTS)
-COVARIANCES = st.lists(NUMBERS, min_size=36, max_size=36)
+COVARIANCES = st.integers(0, 99).map(lambda seed: np.random.default_rng(seed).normal(size=36))
 INTERFACES, DYNAMIC = "control_msgs/msg/InterfaceValue", "control_msgs/msg/DynamicJointState"
 ALL_TYPES = get_typestore(Stores.ROS2_JAZZY)
 ALL_TYPES.register(get_types_from_msg("string[] interface_names\nfloat64[] values\n", INTERFACES))
@@ -63,15 +68,14 @@ def pose(values):
 def test_clock_and_odometry(stamp, child, place, place_covariance, twist, twist_covariance):
     clock = serialised(reports.CLOCK, clock=time(stamp.stamp_ns))
     assert reports.encode_clock(stamp.stamp_ns) == clock
-    covariances = np.array(place_covariance), np.array(twist_covariance)
     moving = new("geometry_msgs/msg/Twist", *map(vector, twist))
     raw = reports.encode_odometry(stamp, child, place, place_covariance, twist, twist_covariance)
     assert raw == serialised(
         reports.ODOMETRY,
         header=header(stamp),
         child_frame_id=child,
-        pose=new("geometry_msgs/msg/PoseWithCovariance", pose(place), covariances[0]),
-        twist=new("geometry_msgs/msg/TwistWithCovariance", moving, covariances[1]),
+        pose=new("geometry_msgs/msg/PoseWithCovariance", pose(place), place_covariance),
+        twist=new("geometry_msgs/msg/TwistWithCovariance", moving, twist_covariance),
     )
 
 
@@ -191,3 +195,82 @@ def test_a_count_that_cannot_be_is_refused_before_anything_is_made_of_it():
 @given(TEXTS)
 def test_a_text(text):
     assert reports.decode_text(serialised("std_msgs/msg/String", data=text)) == text
+
+
+@st.composite
+def trajectories(draw):
+    """Names, times, and arrays of which each point has the same, or its own."""
+    names = draw(st.lists(st.text("abcé_", min_size=1, max_size=6), min_size=1, max_size=5))
+    gaps = draw(st.lists(st.integers(1, 10**10), min_size=1, max_size=9))
+    times_ns = np.cumsum(gaps) + draw(st.integers(-(10**10), 10**10))
+    seed = np.random.default_rng(draw(st.integers(0, 99)))
+    arrays = [seed.normal(size=(len(gaps), len(names))) for _ in range(4)]
+    is_mixed = draw(st.booleans())
+    for each in arrays[1:]:
+        given_by = [draw(st.booleans()) for _ in (gaps if is_mixed else gaps[:1])]
+        each[~np.resize(given_by, len(gaps))] = np.nan
+    return names, times_ns, tuple(arrays)
+
+
+@given(trajectories(), st.integers(0, 2**31 * 10**9 - 1))
+def test_ros_and_our_decoder_read_the_trajectory_that_was_encoded(trajectory, stamp_ns):
+    names, times_ns, arrays = trajectory
+    raw = encode_trajectory(stamp_ns, names, times_ns, arrays)
+    message = ALL_TYPES.deserialize_cdr(raw, JOINT_TRAJECTORY)
+    assert bytes(ALL_TYPES.serialize_cdr(message, JOINT_TRAJECTORY)) == raw
+    stamp = message.header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == stamp_ns
+    assert message.joint_names == names
+    assert len(message.points) == len(times_ns)
+    for k, point in enumerate(message.points):
+        time = point.time_from_start
+        assert time.sec * 10**9 + time.nanosec == times_ns[k]
+        given_ = point.positions, point.velocities, point.accelerations, point.effort
+        for values, each in zip(given_, arrays, strict=True):
+            assert list(values) == ([] if np.isnan(each[k, 0]) else list(each[k]))
+    decoded = decode_trajectory(raw)
+    assert (decoded.stamp_ns, decoded.names) == (stamp_ns, tuple(names))
+    assert np.array_equal(decoded.times_ns, times_ns)
+    for got, meant in zip(decoded.arrays, arrays, strict=True):
+        assert np.array_equal(got, meant, equal_nan=True)
+
+
+WALL_NS = 1_700_000_000_000_000_000  # the recorder's clock, far from the states'
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """A bag of one joint: a parameter set before the first state, others after two of them."""
+    log = [("/parameter_events", WALL_NS, parameter_event("/elbow_controller", mu=0.1))]
+    for k in range(200):
+        now = WALL_NS + 1 + k * MS
+        log.append(("/joint_states", now, state(k * MS, elbow=0.01 * k)[2]))
+        log.append(("/joint_commands", now + 1, command(k * MS, elbow=1.0 / (1 + k))[2]))
+    for k, node, changes in (
+        (50, "/elbow_controller", {"mu": -0.2, "gains__p": 60.0}),
+        (120, "/elbow_controller", {"law": "pid"}),
+        (120, "/camera", {"exposure": 3.0}),
+    ):
+        log.append(("/parameter_events", WALL_NS + k * MS + 3, parameter_event(node, **changes)))
+    types = dict.fromkeys(("/joint_states", "/joint_commands"), JOINT_STATE)
+    return write(tmp_path / "run", {**types, "/parameter_events": PARAMETER_EVENTS}, in_order(log))
+
+
+def test_retunes_stand_at_the_state_before_them_and_foreign_ones_are_left_out(bag):
+    found = [(each.stamp_ns, each.node, each.change) for each in read_retunes(bag)]
+    assert found == [
+        (50 * MS, "/elbow_controller", "mu = -0.2, gains.p = 60"),
+        (120 * MS, "/elbow_controller", "law = pid"),
+    ]
+
+
+def test_the_report_of_a_bag_with_retunes_lists_them(bag, tmp_path):
+    page = tmp_path / "report.html"
+    assert main(["metrics", str(bag), "--report", str(page)]) == DONE
+    text = page.read_text(encoding="utf-8")
+    assert "Retuned while running" in text
+    assert '"marks":[{"run":0,"x":0.05},{"run":0,"x":0.12}]' in text
+
+
+def test_a_bag_without_parameter_events_has_no_retunes(tmp_path):
+    assert read_retunes(write(tmp_path / "run", {"/joint_states": JOINT_STATE}, states())) == ()

@@ -1,5 +1,6 @@
 """The indices of recordings from Python, as the README shows them."""
 
+import json
 import re
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ from harness.places import ROOT
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.metrics import Measuring, compare, measure, measure_all, summary
+from hpid_ros.metrics.measure import saved_parameters
 from hpid_ros.metrics.quantities import ITAE, IVC
 
 README = ROOT / "README.md"
@@ -79,3 +81,9 @@ def test_what_cannot_be_measured_is_refused_in_one_line(bags, tmp_path):
         assert "\n" not in str(refused.value)
     lost = replace(measure(bags[0]), defects=("half of it is gone",))
     assert "half of it is gone" in summary([lost]).warnings
+
+
+def test_parameters_of_a_result_that_are_none_are_passed_over(tmp_path):
+    document = {"parameters": {"PID": {"a": {"law": "pid"}, "b": None, "c": 1.0}}}
+    (tmp_path / "result.json").write_text(json.dumps(document))
+    assert saved_parameters(tmp_path / "bags" / "PID") == {"a": {"law": "pid"}}

@@ -29,6 +29,7 @@ from hpid_ros.stability.certificate_search import (
 )
 from hpid_ros.stability.certification import best_spans, span_margins, verify_certificate
 from hpid_ros.stability.closed_loop import (
+    FORMAT,
     Certificate,
     CertifiedSpan,
     closed_loop_field,
@@ -37,7 +38,7 @@ from hpid_ros.stability.closed_loop import (
     state_norm,
     unit_curve,
 )
-from hpid_ros.stability.gain_check import settling_time_bound
+from hpid_ros.stability.gain_check import saved_certificates, settling_time_bound
 
 DEGREES = st.floats(-0.49, 0.49)
 WEIGHTS = st.floats(-1.5, 1.5).map(lambda power: 10.0**power)
@@ -290,3 +291,16 @@ def test_a_shape_that_holds_at_two_inertias_holds_between_them():
     larger = [tuple(map(tuple, 1.1 * np.array(span.shape))) for span in least]
     moved = [dataclasses.replace(s, shape=p) for s, p in zip(least, larger, strict=True)]
     assert shared_spans(largest, moved, 0.15) == []
+
+
+@pytest.mark.parametrize("value", ["x", 10**400, None, {"a": 1}], ids=range(4))
+def test_a_certificate_of_no_numbers_is_refused(value):
+    mapping = {"format": FORMAT, "gains": {"p": value, "i": 1.0, "d": 1.0}, "spans": []}
+    with pytest.raises(SettingError, match="misshapes an entry"):
+        Certificate.from_mapping(mapping)
+
+
+def test_certificates_of_a_hundred_thousand_brackets_are_one_line(tmp_path):
+    (tmp_path / "certificates.json").write_text("[" * 100_000)
+    with pytest.raises(SettingError, match="is no JSON"):
+        saved_certificates(tmp_path / "certificates.json")
