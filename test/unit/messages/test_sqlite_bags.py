@@ -52,7 +52,7 @@ def by_sqlite(path: Path) -> list[tuple[str, int, bytes]]:
     return rows
 
 
-@pytest.mark.parametrize("missing", [1, 100, PAGE, 7 * PAGE + 17, 0.3, 0.6, 0.8])
+@pytest.mark.parametrize("missing", [1, PAGE, 7 * PAGE + 17, 0.6])
 def test_a_file_that_is_cut_off_is_read_and_repaired_as_far_as_its_pages_are_whole(
     whole, tmp_path, missing, capsys
 ):
@@ -99,9 +99,7 @@ def test_the_log_of_a_linked_file_is_read(whole, tmp_path):
     assert unreadable == []
 
 
-@pytest.mark.parametrize(
-    "change", ["id - 1000", "id - 5000", "-id", "id - 9223372036854775807 - 2"]
-)
+@pytest.mark.parametrize("change", ["id - 1000", "-id", "id - 9223372036854775807 - 2"])
 def test_row_numbers_may_be_negative(whole, tmp_path, change):
     path = tmp_path / "bag.db3"
     shutil.copy(whole, path)
