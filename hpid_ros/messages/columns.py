@@ -34,8 +34,6 @@ SLACK = 64
 
 
 class TopicInfo(NamedTuple):
-    """A topic of a bag."""
-
     type: str  # message type, for instance "sensor_msgs/msg/JointState"
     encoding: str  # of the messages; "cdr" in all of ROS 2
     message_count: int | None  # number of messages by the index; None if the bag has none
@@ -65,7 +63,6 @@ class TopicBatch(NamedTuple):
         return map(self.raw, range(len(self.starts)))
 
     def picked(self, which: NDArray[np.bool_]) -> TopicBatch:
-        """Return some of the messages."""
         return TopicBatch(self.topic, self.buffer, *(part[which] for part in self[2:]))
 
 
@@ -339,7 +336,6 @@ class JointStream:
         self.first_failure = ""
 
     def add(self, batch: TopicBatch) -> None:
-        """Take the next messages of the topic."""
         self.message_count += len(batch.starts)
         for size in np.unique(batch.sizes).tolist():
             self._add_size(batch.picked(batch.sizes == size), size)

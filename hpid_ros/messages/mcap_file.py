@@ -210,7 +210,6 @@ class Fields:
         return int.from_bytes(self.take(size), "little")
 
     def take(self, size: int) -> bytes:
-        """Return the next bytes."""
         end = self._at + size
         if end > len(self._content):
             raise BagError("an MCAP record ends too soon")
@@ -403,8 +402,6 @@ def read_summary(read: Read, size: int) -> Catalogue:
 
 
 class McapFile:
-    """An open MCAP file."""
-
     def __init__(self, path: Path, report: Report) -> None:
         try:
             self._stream = path.open("rb")

@@ -6,7 +6,7 @@ For topics of a few messages; what comes a thousand times a second is read as co
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -152,7 +152,6 @@ def _numbers(pose: Any) -> tuple[float, ...]:
 
 
 def odometry_topics(bag: Path) -> list[str]:
-    """Return the names of a bag's topics of odometry."""
     with Storage(bag) as storage:
         return [name for name, info in storage.topics().items() if info.type == ODOMETRY]
 
@@ -202,27 +201,17 @@ def read_robot_descriptions(bag: Path, namespace: str | None = None) -> list[tup
 PARAMETER_EVENTS = "rcl_interfaces/msg/ParameterEvent"
 
 
-class ParameterChange(NamedTuple):
-    """Parameters of one node that it declared or that were set at once."""
-
-    place: int  # place of the message in the log
-    log_time_ns: int  # [ns] when it was recorded
-    node: str  # full name of the node
-    declared: Mapping[str, Any]  # values of parameters that it declared, by name
-    changed: Mapping[str, Any]  # values that were set later
-
-
-def parameter_changes(bag: Storage) -> list[ParameterChange]:
-    """Return the parameter events of all nodes of a bag, in the order of the log."""
+def parameter_events(bag: Storage) -> list[tuple[int, ParameterEvent]]:
+    """Return the parameter events of all nodes of a bag, each with its place, in their order."""
     topics = bag.topics()
     names = frozenset(name for name, each in topics.items() if each.type == PARAMETER_EVENTS)
-    changes = []
+    events = []
     for batch in bag.batches(names) if names else ():
-        for log_time_ns, place, raw in batch.messages():
+        for _, place, raw in batch.messages():
             event = read_event(raw)
             if event is not None:
-                changes.append(ParameterChange(place, log_time_ns, *event))
-    return sorted(changes, key=lambda each: each.place)
+                events.append((place, event))
+    return sorted(events, key=lambda each: each[0])
 
 
 def read_event(raw: bytes) -> ParameterEvent | None:
@@ -242,27 +231,25 @@ def read_retunes(path: Path) -> tuple[Retune, ...]:
         topics = bag.topics()
         states = [name for name, topic in topics.items() if topic.type == JOINT_STATE]
         states = [name for name in states if name.endswith("joint_states")]
-        changes = parameter_changes(bag) if states else []
-        if not changes:
+        events = parameter_events(bag) if states else []
+        if not events:
             return ()
-        stamps = _stamps_before([each.place for each in changes], bag, states[0])
+        stamps = _stamps_before([place for place, _ in events], bag, states[0])
     retunes = []
-    for change, stamp_ns in zip(changes, stamps, strict=True):
-        texts = [f"{k} = {_shown(v)}" for k, v in change.changed.items() if k in LOOP_PARAMETERS]
+    for (_, event), stamp_ns in zip(events, stamps, strict=True):
+        texts = [f"{k} = {_shown(v)}" for k, v in event.changed.items() if k in LOOP_PARAMETERS]
         if texts and stamp_ns is not None:
-            retunes.append(Retune(stamp_ns, change.node, ", ".join(texts)))
+            retunes.append(Retune(stamp_ns, event.node, ", ".join(texts)))
     return tuple(retunes)
 
 
 def _stamps_before(places: Sequence[int], bag: Storage, states: str) -> list[int | None]:
     """Return for each place the stamp of the last state before it, None if there is none."""
     stamps: list[int | None] = [None] * len(places)
-    last: list[int] = [-1] * len(places)
-    for batch in bag.batches(frozenset((states,))):
+    for batch in bag.batches(frozenset((states,))):  # their places ascend
         before = np.searchsorted(batch.places, places) - 1
         for number, index in enumerate(before.tolist()):
-            if index >= 0 and batch.places[index] > last[number] and batch.sizes[index] >= _HEADER:
-                last[number] = int(batch.places[index])
+            if index >= 0 and batch.sizes[index] >= _HEADER:
                 raw = batch.raw(index)  # it begins with a header, which begins with the stamp
                 seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
                 stamps[number] = int(seconds) * NANOSECONDS + int(nanoseconds)

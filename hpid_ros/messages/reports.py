@@ -47,7 +47,6 @@ class Status(NamedTuple):
 
 
 def encode_clock(stamp_ns: int) -> bytes:
-    """Return a serialised ``rosgraph_msgs/msg/Clock`` of a time in [ns]."""
     writer = Writer()
     writer.time(stamp_ns)
     return writer.raw

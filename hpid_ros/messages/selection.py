@@ -175,7 +175,6 @@ def namespace_of(topic: str) -> str:
 
 
 def last_part(topic: str) -> str:
-    """Return the part after the last slash."""
     return topic.rpartition("/")[2]
 
 
@@ -213,8 +212,6 @@ NO_REFERENCES = ReferenceTopics()
 
 @dataclass(frozen=True)
 class TopicChoice:
-    """The topics of a run."""
-
     states: tuple[str, ...]  # of the states; each joint is on one of them
     # of stamped commands, JointState or JointTrajectoryControllerState
     commands: tuple[str, ...] = ()
@@ -512,7 +509,6 @@ class RecordedRun:
             yield from streams.items()
 
     def add(self, batch: TopicBatch) -> None:
-        """Take the next messages of a topic."""
         if batch.topic in self.choice.references.trajectory:
             self._add_trajectories(batch)
             return
@@ -533,7 +529,6 @@ class RecordedRun:
             self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, decoded))
 
     def has_efforts(self) -> bool:
-        """Return whether any command carries a joint's effort."""
         streams = (*self.commands.values(), *self.floats.values())
         return any(stream.joints() for stream in streams)
 

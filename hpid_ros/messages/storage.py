@@ -57,7 +57,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     return metadata
 
 
-def custom_data(bag: Path) -> Mapping[str, object]:
+def custom_data(bag: Path) -> dict[str, str]:
     """Return the texts that a recording was given; none for a damaged one.
 
     A single file has those of the folder in which it is, if that folder's metadata name it.
@@ -67,10 +67,14 @@ def custom_data(bag: Path) -> Mapping[str, object]:
         metadata = read_metadata(folder)
     except BagError:  # what is wrong with a bag is said when it is read
         return {}
-    if folder is not bag and bag.name not in _files(metadata):
-        return {}
+    return {} if folder is not bag and bag.name not in _files(metadata) else _texts(metadata)
+
+
+def _texts(metadata: Mapping[str, Any]) -> dict[str, str]:
+    """Return the own entries that are texts, as all that rosbag2 writes are."""
     custom = metadata.get("custom_data")
-    return custom if isinstance(custom, Mapping) else {}
+    entries = custom.items() if isinstance(custom, Mapping) else ()
+    return {k: v for k, v in entries if isinstance(k, str) and isinstance(v, str)}
 
 
 def _files(metadata: Mapping[str, Any]) -> set[str]:
@@ -126,12 +130,12 @@ def slides_entry(slides: Collection[str]) -> dict[str, str]:
     return {SLIDES: json.dumps(sorted(slides))} if slides else {}
 
 
-def recorded_slides(metadata: Mapping[str, object]) -> frozenset[str]:
+def recorded_slides(metadata: Mapping[str, str]) -> frozenset[str]:
     """Return the joints that a bag's recorder knew to slide."""
     return frozenset(each for each in _parsed(metadata, SLIDES, list) if isinstance(each, str))
 
 
-def _parsed(metadata: Mapping[str, object], name: str, kind: type[_Content]) -> _Content:
+def _parsed(metadata: Mapping[str, str], name: str, kind: type[_Content]) -> _Content:
     """Return the content of an entry of JSON; an empty one where there is none of that kind."""
     try:
         content = json.loads(str(metadata.get(name)))
@@ -169,8 +173,6 @@ Row = tuple[int, int, int, bytes]
 
 
 class SqliteFile:
-    """An open ``.db3`` file."""
-
     def __init__(self, path: Path, report: Report) -> None:
         path = path.resolve()  # a log lies next to the file, not next to a link to it
         if not path.is_file():
@@ -411,8 +413,7 @@ class Storage:
         metadata = self._metadata() if self.path.is_dir() else {}
         self._is_by_message = str(metadata.get("compression_mode", "")).lower() == "message"
         self._counts = counts_of(metadata)
-        custom = metadata.get("custom_data") if metadata else custom_data(self.path)
-        self.custom_data = _texts(custom) if isinstance(custom, dict) else {}
+        self.custom_data = _texts(metadata) if metadata else custom_data(self.path)
         self._files: list[tuple[McapFile | SqliteFile, Report, int]] = []
         for file in self._paths(metadata):
             try:
@@ -574,11 +575,6 @@ class Storage:
 def _suffix(path: Path) -> str:
     """Return ``.mcap`` or ``.db3`` also for a compressed file."""
     return Path(path.stem).suffix if path.suffix == _ZSTD else path.suffix
-
-
-def _texts(custom: Mapping[Any, Any]) -> dict[str, str]:
-    """Return the entries that are texts, as all that rosbag2 writes are."""
-    return {k: v for k, v in custom.items() if isinstance(k, str) and isinstance(v, str)}
 
 
 def _natural_order(path: Path) -> tuple[str, int, str]:

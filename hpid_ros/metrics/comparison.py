@@ -285,8 +285,7 @@ class Comparison:
 
     def differences(self, label: str) -> tuple[Difference, ...]:
         """Return what a run and the baseline do not share, and which numbers that spoils."""
-        self.run(label)
-        return self._differences[label]
+        return self._differences[self.run(label).label]
 
     @cached_property
     def _differences(self) -> dict[str, tuple[Difference, ...]]:

@@ -382,7 +382,6 @@ def _holds(reference: Numbers, stamps_ns: NDArray[np.int64]) -> Iterator[tuple[i
 
 
 def step_response(series: JointSeries, step: Step) -> StepResponse:
-    """Return how a joint answered a step."""
     t = series.time[step.first : step.stop]
     position = series.position[step.first : step.stop]
     progress = (position - step.start) / step.height

@@ -248,8 +248,6 @@ LABEL = "label"  # name of a bag's label among its metadata (custom_data)
 
 @dataclass(frozen=True)
 class Source:
-    """One thing to read."""
-
     path: Path  # a bag, or a file of saved numbers
     label: str | None = None  # what it is called; None if it says so itself
 
@@ -288,7 +286,7 @@ def recordings_of(result: Path) -> dict[str, Path]:
 def labelled(sources: Sequence[Source]) -> list[Source]:
     """Give labels to bags without one: their metadata's, else as much of the path as differs."""
     labels = [
-        each.label or (None if each.is_saved else _label_in_metadata(each.path))
+        each.label or (None if each.is_saved else custom_data(each.path).get(LABEL) or None)
         for each in sources
     ]
     nameless = [e.path for e, label in zip(sources, labels, strict=True) if label is None]
@@ -312,11 +310,6 @@ def _section(document: object, key: str) -> Mapping[str, Any]:
     """Return a mapping within a document, which may be anybody's; nothing where there is none."""
     found = document.get(key) if isinstance(document, dict) else None
     return found if isinstance(found, dict) else {}
-
-
-def _label_in_metadata(path: Path) -> str | None:
-    label = custom_data(path).get(LABEL)
-    return label if isinstance(label, str) and label else None
 
 
 def _distinct_names(paths: Sequence[Path]) -> list[str]:

@@ -92,7 +92,6 @@ class Conditions:
 
 
 def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
-    """Return the conditions of a recorded run."""
     states = max(series.state_stamps_ns.size for series in run.joints)
     began = [each.reference_from for each in run.quality.joints.values()]
     return Conditions(

@@ -41,7 +41,6 @@ class PoseErrors:
 
     @classmethod
     def between(cls, one: Numbers, other: Numbers) -> PoseErrors:
-        """Compare two paths."""
         away = np.hypot(*(one - other)[:, :2].T)
         turned = np.abs(np.remainder(one[:, 2] - other[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
         return cls(
@@ -85,7 +84,6 @@ class BaseFigures:
 def base_figures(
     odometry: Numbers, truth: Numbers, reference: Numbers | None, slip: tuple[float, float, float]
 ) -> BaseFigures:
-    """Compute the figures of one run."""
     driven = relative(truth)
     steps = np.hypot(*np.diff(driven[:, :2], axis=0).T)
     return BaseFigures(
@@ -267,7 +265,6 @@ class EndEffector:
 
     @property
     def frame(self) -> str:
-        """Name of the task frame."""
         return "odom" if self._bases is not None else self._frame.description.root
 
     def figures(self, truth: PoseColumns | None = None) -> EndEffectorFigures:

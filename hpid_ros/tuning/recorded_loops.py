@@ -21,7 +21,7 @@ from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.messages.columns import JOINT_STATE, TopicBatch
 from hpid_ros.messages.joint_state import EffortReader, JointReader, JointSample, RobotReader
 from hpid_ros.messages.joint_trajectory import decode_float64
-from hpid_ros.messages.messages import PARAMETER_EVENTS, parameter_changes, read_event
+from hpid_ros.messages.messages import PARAMETER_EVENTS, parameter_events, read_event
 from hpid_ros.messages.reports import ParameterEvent, decode_numbers
 from hpid_ros.messages.selection import (
     BagSelection,
@@ -145,7 +145,7 @@ def _controllers_in(
 def _declared(bag: Storage) -> dict[str, Any]:
     """Return the parameters that controllers declared while the bag was recorded."""
     declared: dict[str, dict[str, Any]] = {}
-    for event in parameter_changes(bag):
+    for _, event in parameter_events(bag):
         declared.setdefault(event.node, {}).update(event.declared)
     return {
         node: {
