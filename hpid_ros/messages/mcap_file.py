@@ -189,15 +189,6 @@ Read = Callable[[int, int], bytes]
 """Gives the bytes at a position, up to so many."""
 
 
-class Channel(NamedTuple):
-    """A channel record with its schema resolved."""
-
-    topic: str  # full name of the topic
-    type: str  # message type
-    definition: str  # text of the schema
-    encoding: str  # "cdr" for all of ROS 2
-
-
 class Fields:
     """Reads the fields of one record's content."""
 
@@ -231,7 +222,8 @@ class Catalogue:
     """Schemas and channels, as their records come by; in a summary, what is in the chunks, too."""
 
     def __init__(self) -> None:
-        self.channels: dict[int, Channel] = {}
+        # topic of each channel by number, and what its record and its schema's say of it
+        self.channels: dict[int, tuple[str, TopicInfo]] = {}
         self.counts: dict[int, int] | None = None  # number of messages by channel
         # channels of each chunk, by its position in the file
         self.chunk_channels: dict[int, frozenset[int]] = {}
@@ -244,13 +236,13 @@ class Catalogue:
         if opcode == SCHEMA:
             number, name = fields.number(2), fields.text()
             fields.text()
-            definition = fields.take(fields.number(4))
-            self._schemas[number] = (name, definition.decode(errors="replace"))
+            self._schemas[number] = name, fields.take(fields.number(4)).decode(errors="replace")
         elif opcode == CHANNEL:
             number, schema = fields.number(2), fields.number(2)
             topic, encoding = fields.text(), fields.text()
             self._lacks_schemas |= schema != 0 and schema not in self._schemas
-            self.channels[number] = Channel(topic, *self._schemas.get(schema, ("", "")), encoding)
+            kind, definition = self._schemas.get(schema, ("", ""))
+            self.channels[number] = topic, TopicInfo(kind, encoding, None, definition)
         elif opcode == STATISTICS:
             fields.take(8 + 2 + 4 + 4 + 4 + 4 + 8 + 8)  # totals and times
             self.counts = fields.pairs()
@@ -425,14 +417,11 @@ class McapFile:
             report("the index is missing or damaged; it was read without")
 
     def topics(self) -> dict[str, TopicInfo]:
-        topics: dict[str, TopicInfo] = {}
         counts = self._counts()
-        for channel in self._catalogue.channels.values():
-            count = None if counts is None else counts[channel.topic]
-            topics[channel.topic] = TopicInfo(
-                channel.type, channel.encoding, count, channel.definition
-            )
-        return topics
+        return {
+            topic: info._replace(message_count=None if counts is None else counts[topic])
+            for topic, info in self._catalogue.channels.values()
+        }
 
     def close(self) -> None:
         self._stream.close()
@@ -441,12 +430,13 @@ class McapFile:
         self, topics: frozenset[str], report: Report, done: Advance
     ) -> Iterator[TopicBatch]:
         """Yield the messages of some topics; what cannot be read is reported, never raised."""
-        numbers = frozenset(n for n, c in self._catalogue.channels.items() if c.topic in topics)
+        channels = self._catalogue.channels
+        numbers = frozenset(n for n, (topic, _) in channels.items() if topic in topics)
         chunks = self._catalogue.chunk_channels
 
         def is_wanted(position: int) -> bool:
-            channels = chunks.get(position)  # without an index there are none: unknown
-            return not channels or not numbers.isdisjoint(channels)
+            held = chunks.get(position)  # without an index there are none: unknown
+            return not held or not numbers.isdisjoint(held)
 
         place, found = 0, dict.fromkeys(sorted(topics), 0)
         for records in _together(self._records(is_wanted, report)):
@@ -466,8 +456,8 @@ class McapFile:
         if self._catalogue.counts is None:
             return None
         counts: Counter[str] = Counter()
-        for number, channel in self._catalogue.channels.items():
-            counts[channel.topic] += self._catalogue.counts.get(number, 0)
+        for number, (topic, _) in self._catalogue.channels.items():
+            counts[topic] += self._catalogue.counts.get(number, 0)
         return counts
 
     def _by_topic(
@@ -486,7 +476,7 @@ class McapFile:
         )
         channels = self._catalogue.channels.items()
         for topic in topics:
-            is_own = np.isin(owners, [n for n, channel in channels if channel.topic == topic])
+            is_own = np.isin(owners, [n for n, (name, _) in channels if name == topic])
             if is_own.any():
                 yield whole.picked(is_own)._replace(topic=topic)
 

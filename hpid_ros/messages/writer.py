@@ -274,13 +274,6 @@ class Repair:
     unreadable: tuple[str, ...]  # a line for each thing of the old bag that could not be read
 
 
-class _Message(NamedTuple):
-    place: int
-    topic: str
-    log_time_ns: int
-    raw: bytes
-
-
 def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> Repair:
     """Write what can be read of a bag into a new one, with index and ``metadata.yaml``.
 
@@ -299,12 +292,11 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
                 qos = _LATCHED if info.type == JOINT_TRAJECTORY else None
                 handles[name] = writer.add_topic(name, info.type, qos, info.definition)
             batches = storage.batches(frozenset(topics), progress or no_progress)
-            for message in _in_order(batches):
-                if message.log_time_ns < 0:
+            for _, topic, time_ns, raw in _in_order(batches):
+                if time_ns < 0:
                     impossible += 1
                     continue
-                writer.write(handles[message.topic], message.log_time_ns, message.raw)
-                time_ns = message.log_time_ns
+                writer.write(handles[topic], time_ns, raw)
                 first, last = span_ns or (time_ns, time_ns)
                 span_ns = min(first, time_ns), max(last, time_ns)
         lost = list(storage.unreadable)
@@ -313,21 +305,18 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
         return Repair(target, writer.counts, span_ns, tuple(lost))
 
 
-def _in_order(batches: Iterable[TopicBatch]) -> Iterator[_Message]:
-    """Yield messages as the files held them.
+def _in_order(batches: Iterable[TopicBatch]) -> Iterator[tuple[int, str, int, bytes]]:
+    """Yield place, topic, log time and bytes of messages as the files held them.
 
     One part of a file comes as a batch for each of its topics, in the order of their names; a
     topic that is not after the one before it begins the next part.
     """
-    part: list[_Message] = []
+    part: list[tuple[int, str, int, bytes]] = []
     before = ""
     for batch in batches:
         if batch.topic <= before:
             yield from sorted(part)
             part = []
         before = batch.topic
-        part.extend(
-            _Message(place, batch.topic, log_time_ns, raw)
-            for log_time_ns, place, raw in batch.messages()
-        )
+        part += [(place, batch.topic, time_ns, raw) for time_ns, place, raw in batch.messages()]
     yield from sorted(part)

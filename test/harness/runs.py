@@ -29,3 +29,18 @@ def response(label, damping, names=("shoulder", "elbow"), losses=None, samples=3
         effort = 5 * (reference - position)
         joints.append(JointSeries(name, stamps, position, reference, stamps, effort))
     return RunSeries(label, tuple(joints), losses or {}, **others)
+
+
+def recording(
+    label="PID", scale=1.0, duration=2.0, shift=0.0, names=("a", "b"), period=1e-3, **options
+):
+    """A joint that steps and one that follows a sine."""
+    t = np.arange(round(duration / period) + 1) * period
+    stamps = np.round(t * 1e9).astype(np.int64)
+    step, sine = np.ones(t.size), np.sin(t + shift)
+    pairs = ((step * (1 - scale * np.exp(-t / 0.1)), step), (sine - 0.01 * scale, sine))
+    joints = (
+        JointSeries(name, stamps, y, r, stamps, 5.0 * (r - y))
+        for name, (y, r) in zip(names, pairs, strict=True)
+    )
+    return RunSeries(label, tuple(joints), **options)

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from harness.runs import recording
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,21 +40,6 @@ from hpid_ros.report.export import (
     table_latex,
 )
 from hpid_ros.report.table import grids_markdown, grids_text, table_text
-
-
-def recording(label="PID", scale=1.0, duration=2.0, shift=0.0, names=("a", "b"), period=1e-3):
-    """A joint that steps and one that follows a sine."""
-    t = np.arange(round(duration / period) + 1) * period
-    stamps = np.round(t * 1e9).astype(np.int64)
-    step, sine = np.ones(t.size), np.sin(t + shift)
-    pairs = ((step * (1 - scale * np.exp(-t / 0.1)), step), (sine - 0.01 * scale, sine))
-    return RunSeries(
-        label,
-        tuple(
-            JointSeries(name, stamps, y, r, stamps, 5.0 * (r - y))
-            for name, (y, r) in zip(names, pairs, strict=True)
-        ),
-    )
 
 
 def numbers(*arguments, **options):
