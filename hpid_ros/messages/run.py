@@ -553,8 +553,8 @@ def _require_messages(where: str, recording: RecordedRun) -> None:
     """Raise BagError if there are no states, or no commands though they were asked for."""
     counts = {topic: stream.message_count for topic, stream in recording.streams()}
     counts |= dict.fromkeys(recording.choice.references.trajectory, 0)
-    for logged in recording.trajectories:
-        counts[logged.topic] += 1
+    for _, _, topic, _ in recording.trajectories:
+        counts[topic] += 1
     choice = recording.choice
     missing = [topic for topic in choice.states if not counts[topic]]
     commands = (*choice.commands, *(each.topic for each in choice.command_topics.values()))

@@ -449,15 +449,6 @@ def _listed(types: Mapping[str, str]) -> str:
     return ", ".join(f"{name} ({types[name]})" for name in sorted(types)) or "none"
 
 
-class LoggedTrajectory(NamedTuple):
-    """A trajectory and its place in the log."""
-
-    log_time_ns: int  # [ns] when it was recorded
-    place: int  # its place in the files
-    topic: str  # where it was published
-    arrays: TrajectoryArrays  # what it says, checked
-
-
 def decoded_trajectory(raw: bytes) -> TrajectoryArrays:
     """Return a serialised trajectory, checked."""
     # A recording may hold any number of points: reading it need not keep pace with a robot.
@@ -477,7 +468,8 @@ class RecordedRun:
     ) -> None:
         self.choice = choice
         self.notes: list[str] = []
-        self.trajectories: list[LoggedTrajectory] = []
+        # log time in [ns], place in the files, topic and content of each
+        self.trajectories: list[tuple[int, int, str, TrajectoryArrays]] = []
         self.states = {
             topic: JointStream(JOINT_STATE, "position", joints) for topic in choice.states
         }
@@ -526,7 +518,7 @@ class RecordedRun:
             except MessageError as error:
                 # Whatever was followed from here on is unknown.
                 raise BagError(f"{batch.topic} at {log_time_ns} ns: {error}") from error
-            self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, decoded))
+            self.trajectories.append((log_time_ns, place, batch.topic, decoded))
 
     def has_efforts(self) -> bool:
         streams = (*self.commands.values(), *self.floats.values())
@@ -554,6 +546,6 @@ class RecordedRun:
             concerned.update(stream.names)
         for stream in (*self.floats.values(), *self.setpoints.values()):
             concerned.update(stream.joints())
-        for logged in self.trajectories:
-            concerned.update(logged.arrays.names)
+        for _, _, _, arrays in self.trajectories:
+            concerned.update(arrays.names)
         return concerned

@@ -80,8 +80,7 @@ def common_cuts(runs: Sequence[RunIndices]) -> tuple[Cut, ...]:
     Recordings are laid beside each other where their references begin, as recorders are started
     by hand; where one has none, at their first states.
     """
-    conditions = [run.conditions for run in runs]
-    known = [each for each in conditions if each is not None]
+    known = [run.conditions for run in runs if run.conditions is not None]
     if len(known) < len(runs) or len(runs) < 2:
         return ()
     durations = [each.duration for each in known]
@@ -90,9 +89,8 @@ def common_cuts(runs: Sequence[RunIndices]) -> tuple[Cut, ...]:
     starts = [begin or 0.0 for begin in begins] if has_references else [0.0] * len(runs)
     room = min(duration - start for duration, start in zip(durations, starts, strict=True))
     within = DURATION_WITHIN * max(durations)
-    if max(durations) - min(durations) <= within and max(starts) - min(starts) <= within:
-        return ()
-    if room < SHORTEST:
+    are_alike = max(durations) - min(durations) <= within and max(starts) - min(starts) <= within
+    if are_alike or room < SHORTEST:
         return ()
     where = "its reference begins" if has_references else "its states do"
     return tuple(

@@ -32,6 +32,11 @@ def result(tmp_path_factory):
 
 
 @pytest.fixture
+def bags(result):
+    return [result / "bags" / label for label in ("PID", "hPID")]
+
+
+@pytest.fixture
 def run(hpid):
     """Return a function that runs the command and gives its streams."""
     return partial(hpid, "metrics")
@@ -44,8 +49,7 @@ def saved_indices(result):
 # Inputs ----------------------------------------------------------------------------------------
 
 
-def test_bags_a_result_folder_and_saved_numbers_give_the_same_numbers(run, result, tmp_path):
-    bags = [result / "bags" / "PID", result / "bags" / "hPID"]
+def test_bags_a_result_folder_and_saved_numbers_give_the_same_numbers(run, result, bags, tmp_path):
     saved = tmp_path / "saved.json"
     assert run(*bags, "--save", saved)[0] == DONE
     for arguments in (bags, [result], [result / "result.json"], [saved]):
@@ -55,8 +59,7 @@ def test_bags_a_result_folder_and_saved_numbers_give_the_same_numbers(run, resul
         assert errors == ""
 
 
-def test_labels_name_the_bags_and_equal_labels_are_repeats(run, result):
-    bags = [result / "bags" / "PID", result / "bags" / "hPID"]
+def test_labels_name_the_bags_and_equal_labels_are_repeats(run, bags):
     _, printed, _ = run(*bags, "--labels", "one", "two", "--json")
     assert list(json.loads(printed)["runs"]) == ["one", "two"]
     _, printed, _ = run(*bags, "--labels", "one", "one", "--json")
@@ -66,8 +69,7 @@ def test_labels_name_the_bags_and_equal_labels_are_repeats(run, result):
     assert json.loads(by_group)["runs"]["one"] == folded
 
 
-def test_labels_that_were_exchanged_are_noticed_by_the_law_that_ran(run, result):
-    bags = [result / "bags" / "PID", result / "bags" / "hPID"]
+def test_labels_that_were_exchanged_are_noticed_by_the_law_that_ran(run, bags):
     _, _, errors = run(*bags, "--labels", "hPID", "PID")
     for label, law in (("hPID", "pid"), ("PID", "hpid")):
         assert f"run {label!r}: its controllers ran law {law!r}: were two" in errors
@@ -83,8 +85,8 @@ def test_a_label_in_the_bags_metadata_is_taken(run, result, tmp_path):
     assert list(json.loads(run(bag, "--json")[1])["runs"]) == ["my arm"]
 
 
-def test_the_baseline_is_chosen_by_path_or_label_and_may_be_another_bag(run, result):
-    pid, hpid = result / "bags" / "PID", result / "bags" / "hPID"
+def test_the_baseline_is_chosen_by_path_or_label_and_may_be_another_bag(run, result, bags):
+    pid, hpid = bags
     for arguments in ([pid, hpid, "--baseline", hpid], [result, "--baseline", "hPID"]):
         document = json.loads(run(*arguments, "--json")[1])
         assert document["baseline"] == "hPID"
