@@ -394,21 +394,25 @@ def complete_run(
     )
 
 
-SMALL = 0.05  # an error below this is small for any joint, in [rad]
-SHARE_OF_RANGE = 0.1  # so is one below this share of the reference's range
-SELDOM = 0.1  # a joint follows if its error is small for at least this share of its motion
-MOVED = 0.05  # a joint whose position ranges over more than this has moved, in [rad]
+_SMALL_ERROR = 0.05  # an error below this is small for any joint, in [rad]
+_SHARE_OF_RANGE = 0.1  # so is one below this share of the reference's range
+_SELDOM = 0.1  # a joint follows if its error is small for at least this share of its motion
+_MOVED = 0.05  # a joint whose position ranges over more than this has moved, in [rad]
 
 
 def unfollowed(run: RunSeries) -> dict[str, float]:
     """Return the joints whose error was small hardly ever, from where the reference moved on."""
-    told = [series for series in run.joints if series.reference.size]
-    least = {series.joint: _usual_least(series) for series in told}
-    allowed = {
-        series.joint: max(SMALL, SHARE_OF_RANGE * float(np.ptp(series.reference)))
-        for series in told
-    }
-    return {joint: error for joint, error in least.items() if error > allowed[joint]}
+    found = {}
+    for series in run.joints:
+        if not series.has_reference:
+            continue
+        moved = np.flatnonzero(series.reference != series.reference[0])
+        error = np.abs(series.error[moved[0] :] if moved.size else series.error)
+        usual_least = float(np.quantile(error, _SELDOM))
+        reference_range = float(np.ptp(series.reference))
+        if usual_least > max(_SMALL_ERROR, _SHARE_OF_RANGE * reference_range):
+            found[series.joint] = usual_least
+    return found
 
 
 def unfollowed_lines(runs: Sequence[RunSeries]) -> Iterator[str]:
@@ -416,14 +420,14 @@ def unfollowed_lines(runs: Sequence[RunSeries]) -> Iterator[str]:
     for run in runs:
         joints = unfollowed(run)
         if joints:
-            shown = ", ".join(
+            listed = ", ".join(
                 f"{joint} ({error:.3g} {'m' if joint in run.slides else 'rad'})"
                 for joint, error in joints.items()
             )
             yield (
                 f"run {run.label!r}: these joints do not follow their reference, and their ratios "
-                f"say nothing of the controller: {shown}; in brackets the error that they exceed "
-                f"{1 - SELDOM:.0%} of the time"
+                f"say nothing of the controller: {listed}; in brackets the error that they exceed "
+                f"{1 - _SELDOM:.0%} of the time"
             )
 
 
@@ -431,12 +435,6 @@ def unfollowed_mapping(runs: Sequence[RunSeries]) -> Mapping[str, Mapping[str, f
     """Return :func:`unfollowed` by label, of the runs that have such joints."""
     found = {run.label: unfollowed(run) for run in runs}
     return {label: joints for label, joints in found.items() if joints}
-
-
-def _usual_least(series: JointSeries) -> float:
-    moved = np.flatnonzero(series.reference != series.reference[0])
-    error = np.abs(series.error[moved[0] :] if moved.size else series.error)
-    return float(np.quantile(error, SELDOM))
 
 
 QUALITY_COLUMNS = (
@@ -459,8 +457,8 @@ def _lines(run: RunSeries) -> Iterator[str]:
         qualities = {name: getattr(quality, stream) for name, quality in joints.items()}
         parts = [f"{name}: {_defects(each)}" for name, each in qualities.items() if _defects(each)]
         if parts:
-            shown = "; ".join(parts[:3]) + (f"; {len(parts) - 3} more" if len(parts) > 3 else "")
-            yield f"run {run.label!r}: {stream} are not complete: {shown}"
+            listed = "; ".join(parts[:3]) + (f"; {len(parts) - 3} more" if len(parts) > 3 else "")
+            yield f"run {run.label!r}: {stream} are not complete: {listed}"
     received = [
         stream
         for stream in ("state", "command")
@@ -472,7 +470,7 @@ def _lines(run: RunSeries) -> Iterator[str]:
     idle = [
         series.joint
         for series in run.joints
-        if series.effort.size and not series.effort.any() and np.ptp(series.position) > MOVED
+        if series.effort.size and not series.effort.any() and np.ptp(series.position) > _MOVED
     ]
     if idle:
         yield (
