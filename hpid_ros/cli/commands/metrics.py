@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -274,18 +273,12 @@ def run(options: argparse.Namespace) -> int:
 def _print(options: argparse.Namespace, found: Summary) -> None:
     # As lines below a table, as ``end_effector`` in JSON; CSV and LaTeX are tables of joints.
     lines = "".join(f"{each.line(label)}\n" for label, each in found.end_effectors.items())
-    try:
-        if options.format == "table" and sys.stdout.isatty():
-            output_console().print(ComparisonTable(found.comparison))
-            print(lines, end="", flush=True)
-            return
-        text = FORMATS[options.format](found.comparison)
-        if options.format == "json" and found.end_effectors:
-            figures = {label: asdict(each) for label, each in found.end_effectors.items()}
-            text = json.dumps(json.loads(text) | {"end_effector": figures}, indent=2) + "\n"
-        print(text + (lines if options.format == "table" else ""), end="", flush=True)
-    except BrokenPipeError:  # whoever reads has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SettingError(f"cannot write the output: {reason}") from None
+    if options.format == "table" and sys.stdout.isatty():
+        output_console().print(ComparisonTable(found.comparison))
+        print(lines, end="", flush=True)
+        return
+    text = FORMATS[options.format](found.comparison)
+    if options.format == "json" and found.end_effectors:
+        figures = {label: asdict(each) for label, each in found.end_effectors.items()}
+        text = json.dumps(json.loads(text) | {"end_effector": figures}, indent=2) + "\n"
+    print(text + (lines if options.format == "table" else ""), end="", flush=True)
