@@ -76,17 +76,6 @@ def test_a_tampered_command_is_named(bag, tmp_path, hpid):
     assert out.splitlines()[-1] == "2 407 of 2 408 commands are the law's"
 
 
-def test_other_parameters_are_another_law(bag, tmp_path, hpid):
-    document = yaml.safe_load(custom_data(bag)[PARAMETERS])
-    document["/**/arm_joint_3_controller"]["ros__parameters"]["mu"] = 0.0
-    file = tmp_path / "controllers.yaml"
-    file.write_text(yaml.safe_dump(document))
-    code, out, _ = hpid("replay", bag, "--params", file)
-    assert code == 1
-    assert "arm_joint_3: 3" in out
-    assert "arm_joint_4: 301 commands, every one the law's" in out
-
-
 def test_what_is_missing_is_said_in_one_line(bag, tmp_path, refused):
     bare = rewritten(bag, tmp_path / "bare", lambda topic, raw: raw, keeps_parameters=False)
     quiet = rewritten(
@@ -173,17 +162,6 @@ def test_relays_setpoints_and_changes_of_a_namespace_are_replayed(told, hpid):
     assert out.splitlines()[-1] == "every one of 1 500 commands is the law's, to the last bit"
     assert code == 0
     assert "a relay was left out: relays are not allowed: allow_relay is false" in out
-
-
-def test_a_relay_that_was_not_recorded_shows_from_there_on(told, tmp_path, hpid):
-    bag, options = told
-    lost = "/left/first_controller/relay"
-    bare = rewritten(
-        bag, tmp_path / "bare", lambda topic, raw: None if topic == lost else raw, False
-    )
-    code, out, _ = hpid("replay", bare, *options)
-    assert code == 1
-    assert "from 0.050 s for" in out
 
 
 def test_a_bag_of_ros2_control_gets_one_line_about_what_it_lacks(told, tmp_path, refused):

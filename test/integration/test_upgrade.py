@@ -47,7 +47,7 @@ def pid(**changes):
     return loop_settings(**{**values, **changes})
 
 
-@pytest.mark.parametrize("counts", [1024, 4096, 16384])
+@pytest.mark.parametrize("counts", [1024, 16384])
 def test_statistics_find_scales_and_the_encoder(counts):
     found = loop_statistics(recording(counts), filter_time_constant=0.01)
     assert found.largest_error == pytest.approx(0.5, abs=math.pi / counts)
@@ -249,7 +249,6 @@ def test_a_joint_that_fails_is_named_and_the_others_go_on(tmp_path, capsys):
         ((1.0, 9.0, 1.0), ["--goal", "fast"], "no joint can be upgraded: the loop is unstable"),
         ((39.6, 132.0, 3.96), ["--goal", "balanced"], "give --bag"),
         ((39.6, 132.0, 3.96), ["--goal", "fast", "--bag", "BAG"], "'a'"),
-        ((39.6, 132.0, 3.96), ["--goal", "fast", "-o", "/proc/new.yaml"], "cannot write"),
     ],
 )
 def test_where_nothing_can_be_upgraded_nothing_is_written(
@@ -290,6 +289,7 @@ def test_inertia_is_said_of_all_joints_or_of_one(given, found):
 
 
 def test_inertias_of_a_robot_are_its_own_but_for_those_that_are_said():
+    """Over its poses and with a payload; poses that were visited narrow them."""
     joints, urdf = ["arm_joint_1", "arm_joint_2"], "urdf/mobile_manipulator.urdf"
     said = {"inertia": [["arm_joint_1=0.5:0.7"]], "urdf": urdf, "payload": 0.0}
     everywhere = inertias_from(argparse.Namespace(**said, poses=None), joints)
@@ -299,6 +299,8 @@ def test_inertias_of_a_robot_are_its_own_but_for_those_that_are_said():
     visited = inertias_from(argparse.Namespace(**said, poses=None), joints, poses)
     assert low < visited["arm_joint_2"][0] <= visited["arm_joint_2"][1] < high
     assert inertias_from(argparse.Namespace(**said, poses=200), joints, poses) == everywhere
+    loaded = inertias_from(argparse.Namespace(**{**said, "payload": 2.0}, poses=None), joints)
+    assert loaded["arm_joint_2"][1] > 1.2 * high
 
 
 def test_the_poses_of_recordings_are_of_these_and_not_of_the_time_between():
