@@ -33,6 +33,7 @@ from hpid_ros.tuning.upgrade import (
 )
 
 MS = 1_000_000
+ARM = ("arm_joint_1", "arm_joint_4")
 
 
 def recording(counts=4096):
@@ -322,7 +323,7 @@ def test_the_poses_of_recordings_are_of_these_and_not_of_the_time_between():
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    """Return the folder of a run: parameter files of its controllers and its bag."""
+    """Return the folder of a run: a parameter file of two of its controllers, and its bag."""
     from hpid_ros.base.files import share_folder
     from hpid_ros.experiment.description import load_experiment
     from hpid_ros.experiment.in_process import NoProgress, run_without_ros, write_run_files
@@ -332,7 +333,8 @@ def result(tmp_path_factory):
     document |= {"duration": 1.0, "simulation": {"engine": "mujoco", "physics_steps": 2}}
     (folder / "short.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
     experiment = load_experiment(folder / "short.yaml")
-    write_run_files(folder, experiment, experiment.controllers["PID"])
+    arm = [each for each in experiment.controllers["PID"] if each.joint in ARM]
+    write_run_files(folder, experiment, arm)
     run_without_ros(experiment, "PID", folder / "PID", NoProgress())
     return folder
 
@@ -347,7 +349,7 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
     assert "Predicted, simulated on the model" in out
     assert "simulating the PID and the proposal" in err
     before, after = (parameter_file(each).loops for each in (parameters, file))
-    assert list(before) == list(after)
+    assert list(before) == list(after) == [f"{joint}_controller" for joint in ARM]
     for name, settings in after.items():
         assert settings.law == "hpid"
         assert settings.mu < 0.0

@@ -295,7 +295,7 @@ def boxes_of(plot):
     return [each.get_window_extent().shrunk(0.9, 0.9) for each in texts if each.get_visible()]
 
 
-@pytest.mark.parametrize("joints", [1, 13])
+@pytest.mark.parametrize("joints", [1, 7])
 def test_no_labels_overlap_whatever_the_number_of_joints(joints):
     labels = ["PID", "a controller with a long name", *(f"another one {k}" for k in range(4))]
     runs = [swing(label, joints=joints, count=201) for label in labels]
