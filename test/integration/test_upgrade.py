@@ -5,6 +5,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -70,9 +71,14 @@ def test_an_ideal_sensor_has_no_resolution_and_a_recording_must_say_something():
             loop_statistics(series(nothing, np.ones(len(nothing))), 0.005)
 
 
+@cache  # to certify it takes a second
+def upgraded(goal):
+    return upgrade(pid(), (0.1, 0.2), goal, loop_statistics(recording(), 0.005))
+
+
 @pytest.mark.parametrize(("goal", "sign"), [("smooth", 1.0), ("fast", -1.0)])
 def test_the_degree_has_the_goals_sign_and_is_certified(goal, sign):
-    found = upgrade(pid(), (0.1, 0.2), goal, loop_statistics(recording(), 0.005))
+    found = upgraded(goal)
     settings = found.settings
     assert sign * settings.mu > 0.05
     assert found.interval[0] < settings.mu < found.interval[1]
@@ -120,10 +126,9 @@ def test_balanced_needs_a_recording_and_forgets_the_joints_own_scales():
     ("ivc", "itae", "short"), [(0.5, 0.6, ""), (0.99, 0.6, "IVC"), (0.5, 1.2, "ITAE")]
 )
 def test_balanced_is_kept_or_left_for_the_robot_as_a_whole(ivc, itae, short):
-    found = upgrade(pid(), (0.1, 0.2), "balanced", loop_statistics(recording(), 0.005))
     alone, proposed = prediction(elbow=1.0).runs
     totals = replace(proposed, totals={**proposed.totals, "ivc": ivc, "itae": itae})
-    kept = worthwhile(found, "balanced", Comparison((alone, totals)))
+    kept = worthwhile(upgraded("balanced"), "balanced", Comparison((alone, totals)))
     assert (kept.settings.law == "pid") == bool(short)
     assert not short or short in kept.reasons["law"]
 
@@ -176,30 +181,30 @@ def prediction(**ratios):
     ],
 )
 def test_where_the_goals_index_does_not_fall_for_certain_the_pid_is_kept(ratio, doubt, is_kept):
-    found = upgrade(pid(), (0.1, 0.2), "smooth")
-    judged = worthwhile(found, "smooth", prediction(elbow=ratio), doubt)
+    judged = worthwhile(upgraded("smooth"), "smooth", prediction(elbow=ratio), doubt)
     assert judged.settings.gains == pid().gains
     assert (judged.settings.law == "pid") == is_kept
     assert ("nothing to gain" in judged.reasons["law"]) == is_kept
     assert ("between 0.737 and 1.1" in judged.reasons["law"]) == (doubt == 0.2)
 
 
-@pytest.mark.parametrize(
-    ("own", "limit", "clamps"),
-    [
+def test_effort_limits_are_the_narrower_of_the_urdfs_and_the_pids():
+    cases = [
         ((-1e6, 1e6), 30.0, (-30.0, 30.0)),
         ((-10.0, 50.0), 30.0, (-10.0, 30.0)),
         ((-10.0, 10.0), 30.0, (-10.0, 10.0)),
         ((-1e6, 1e6), 0.0, (-1e6, 1e6)),  # a URDF's 0 says nothing
         ((-1e6, 1e6), math.inf, (-1e6, 1e6)),
-    ],
-)
-def test_effort_limits_are_the_narrower_of_the_urdfs_and_the_pids(own, limit, clamps):
-    loop = pid(u_clamp_min=own[0], u_clamp_max=own[1])
-    (found,) = upgrades([Candidate(loop, (0.132, 0.132), effort=limit)], "smooth").found.values()
-    assert (found.settings.effort.u_clamp_min, found.settings.effort.u_clamp_max) == clamps
-    for name, was, now in zip(("u_clamp_min", "u_clamp_max"), own, clamps, strict=True):
-        assert ("effort limit of the URDF" in found.reasons.get(name, "")) == (was != now)
+    ]
+    candidates = [
+        Candidate(pid(joint=f"j{k}", u_clamp_min=least, u_clamp_max=most), (0.132,) * 2, None, each)
+        for k, ((least, most), each, _) in enumerate(cases)
+    ]
+    proposals = upgrades(candidates, "smooth").found.values()
+    for found, (own, _, clamps) in zip(proposals, cases, strict=True):
+        assert (found.settings.effort.u_clamp_min, found.settings.effort.u_clamp_max) == clamps
+        for name, was, now in zip(("u_clamp_min", "u_clamp_max"), own, clamps, strict=True):
+            assert ("effort limit of the URDF" in found.reasons.get(name, "")) == (was != now)
 
 
 def test_the_range_of_inertia_is_in_the_file_and_counts_when_gains_are_checked(
