@@ -170,7 +170,7 @@ def test_a_grip_that_is_too_weak_loses_the_brick_and_says_so(written, tmp_path):
 def test_the_shipped_task_puts_both_bricks_where_they_belong(tmp_path):
     document = {
         "extends": str(EXPERIMENTS / "bricks.yaml"),
-        "control": {"rate": 250},  # a quarter of the file's rate, which takes less time
+        "control": {"rate": 125},  # an eighth of the file's rate, which takes less time
         "simulation": {"engine": "mujoco", "physics_steps": 4},
         "compare": {"PID": None},
     }

@@ -197,7 +197,9 @@ def test_effort_limits_are_the_narrower_of_the_urdfs_and_the_pids():
         ((-1e6, 1e6), math.inf, (-1e6, 1e6)),
     ]
     candidates = [
-        Candidate(pid(joint=f"j{k}", u_clamp_min=least, u_clamp_max=most), (0.132,) * 2, None, each)
+        Candidate(
+            pid(joint=f"j{k}", u_clamp_min=least, u_clamp_max=most), (0.132,) * 2, None, each
+        )
         for k, ((least, most), each, _) in enumerate(cases)
     ]
     proposals = upgrades(candidates, "smooth").found.values()
