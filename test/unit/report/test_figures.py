@@ -1,7 +1,6 @@
 """The figures: what is in them, how matplotlib draws them, and their files."""
 
 import dataclasses
-import io
 import math
 import os
 import re
@@ -16,7 +15,6 @@ from hypothesis.extra import numpy as hnp
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from PIL import Image
 
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.assembly import make_law, make_norm, make_velocity_source
@@ -203,6 +201,7 @@ def test_the_rate_of_the_phase_portrait_is_not_drowned_by_encoder_counts():
 
 def test_gains_are_drawn_by_joint_with_the_norm_on_a_logarithmic_axis(runs, gains):
     found = figures(runs, gains=gains)
+    assert list(found) == [*NAMES, "norm", "multiplier", "trade_off"]
     assert panels(drawing(found["norm"], runs))[0].get_yscale() == "log"
     plot = drawing(found["multiplier"], runs)
     assert legend(plot) == ["hPID"]
@@ -354,19 +353,11 @@ def test_runs_are_told_apart_by_lightness_and_by_line_too():
 # Files -----------------------------------------------------------------------------------------
 
 
-def test_every_figure_can_be_drawn_in_each_format(runs, gains):
-    found = figures(runs, gains=gains)
-    assert list(found) == [*NAMES, "norm", "multiplier", "trade_off"]
-    phase = drawing(found["phase"], runs)
-    with Image.open(io.BytesIO(render(phase, "png"))) as image:
-        assert round(image.info["dpi"][0]) == 150
-    assert render(phase, "pdf").startswith(b"%PDF")
-
-
-@pytest.mark.parametrize("form", ["png", "pdf", "svg"])
-def test_the_same_runs_give_the_same_bytes(runs, form):
-    first, second = (render(drawing(figures(runs)["efforts"], runs), form) for _ in range(2))
+@pytest.mark.parametrize(("form", "begin"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<")])
+def test_the_same_runs_give_the_same_bytes(runs, form, begin):
+    first, second = (render(drawing(figures(runs)["error_norm"], runs), form) for _ in range(2))
     assert first == second
+    assert first.startswith(begin)
     assert not re.search(rb"CreationDate|<dc:date>", first)
 
 

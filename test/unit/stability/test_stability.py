@@ -84,15 +84,16 @@ def test_gains_are_certified_as_far_as_known_and_no_further(gains, rate_weight, 
 
 
 def test_a_range_of_inertia_is_certified_at_its_ends_and_middle():
-    def norm_of_degree(degree):
-        return CanonicalNorm(degree, ((1.0, 0.1), (0.1, 0.3)))
+    def of(inertia):
+        gains = Gains(5.0, 9.0, 2.0)  # near Routh's limit, which the inertia moves
+        return certified_degree_interval(
+            gains, lambda degree: WeightedNorm(degree, 1.0, 3.0), inertia, 0.05
+        )
 
-    gains = Gains(10.0, 10.0, 5.0)
-    both = certified_degree_interval(gains, norm_of_degree, (1.0, 3.0), 0.05)
-    assert both.certificate.inertias == (1.0, 2.0, 3.0)
-    each = [certified_degree_interval(gains, norm_of_degree, m, 0.05) for m in (1.0, 2.0, 3.0)]
-    assert both.lower == max(one.lower for one in each) < -0.04
-    assert both.upper == min(one.upper for one in each) > 0.04
+    both, least, largest = of((0.8, 1.0)), of(0.8), of(1.0)
+    assert both.certificate.inertias == (0.8, 0.9, 1.0)
+    assert least.lower < both.lower == largest.lower < -0.04
+    assert least.upper > both.upper == largest.upper > 0.04
 
 
 def test_an_interval_ends_where_the_norm_does():
