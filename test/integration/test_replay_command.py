@@ -1,7 +1,6 @@
 """``hpid replay``: what was recorded against what the law answers."""
 
 import shutil
-from functools import partial
 
 import pytest
 import yaml
@@ -100,9 +99,10 @@ SETTINGS = {
 RELAY = [2.0, 0.002, 0.5, 3.0, 5.0]
 
 
-@pytest.fixture
-def told(tmp_path):
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
     """A joint that is told everything there is, recorded as ros2 bag record does into SQLite."""
+    folder = tmp_path_factory.mktemp("told")
     loop, node = JointLoop(loop_settings(joint="elbow", **SETTINGS)), "/left/first_controller"
 
     def retune(loop):
@@ -129,15 +129,15 @@ def told(tmp_path):
     state = JointStateTemplate(["elbow"], position=True)
     command = JointStateTemplate(["elbow"], node, effort=True)
     position = velocity = 0.0
-    names = {"relay": f"{node}/relay", "setpoint": f"{node}/setpoint"}
-    with BagWriter(tmp_path / "mcap") as writer:
-        add = partial(writer.add_topic)
-        states = add("/left/joint_states", JOINT_STATE)
-        commands = add("/left/joint_commands", JOINT_STATE)
+
+    with BagWriter(folder / "mcap") as writer:
+        states = writer.add_topic("/left/joint_states", JOINT_STATE)
+        commands = writer.add_topic("/left/joint_commands", JOINT_STATE)
         topics = {
-            each: add(name, FLOATS if each == "relay" else FLOAT) for each, name in names.items()
+            "relay": writer.add_topic(f"{node}/relay", FLOATS),
+            "setpoint": writer.add_topic(f"{node}/setpoint", FLOAT),
+            "events": writer.add_topic("/parameter_events", PARAMETER_EVENTS),
         }
-        topics["events"] = add("/parameter_events", PARAMETER_EVENTS)
         for k in range(1500):
             if k in told:
                 topic, raw, act = told[k]
@@ -149,11 +149,11 @@ def told(tmp_path):
             velocity += 1e-3 * (effort - 0.5 * velocity) / 0.2
             position += 1e-3 * velocity
     assert loop.relay.cycles > 1
-    convert(tmp_path / "mcap", tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
-    parameters = tmp_path / "controllers.yaml"
+    convert(folder / "mcap", folder / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    parameters = folder / "controllers.yaml"
     own = {"joint": "elbow", **{k.replace("__", "."): v for k, v in SETTINGS.items()}}
     parameters.write_text(yaml.safe_dump({node: {"ros__parameters": own}}))
-    return tmp_path / "bag", ("--params", parameters, "--namespace", "left")
+    return folder / "bag", ("--params", parameters, "--namespace", "left")
 
 
 def test_relays_setpoints_and_changes_of_a_namespace_are_replayed(told, hpid):
@@ -167,7 +167,7 @@ def test_relays_setpoints_and_changes_of_a_namespace_are_replayed(told, hpid):
 def test_a_bag_of_ros2_control_gets_one_line_about_what_it_lacks(told, tmp_path, refused):
     _, options = told
     states = JointStateTemplate(["elbow"], position=True, effort=True)
-    with BagWriter(tmp_path / "mcap2") as writer:
+    with BagWriter(tmp_path / "bag") as writer:
         topics = [
             writer.add_topic("/joint_states", JOINT_STATE),
             writer.add_topic("/effort_controller/commands", FLOATS),
@@ -175,6 +175,6 @@ def test_a_bag_of_ros2_control_gets_one_line_about_what_it_lacks(told, tmp_path,
         for k in range(20):
             writer.write(topics[0], k * MS, states.encode(k * MS, position=[0.1], effort=[1.0]))
             writer.write(topics[1], k * MS + 1, floats(1.0))
-    err = refused("replay", tmp_path / "mcap2", *options[:2])
+    err = refused("replay", tmp_path / "bag", *options[:2])
     assert "no topic of stamped commands" in err
     assert "those on /effort_controller/commands have no stamps" in err
