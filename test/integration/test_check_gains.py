@@ -50,6 +50,7 @@ def test_the_shipped_experiment_is_certified(capsys):
         (["--p", "1"], "lack --i, --d"),
         ([*NEAR_THE_LIMIT, "--mu", "0.5"], "(-0.5, 0.5), not 0.5"),
         (NEAR_THE_LIMIT[:-2], "is unknown: give --inertia"),
+        ([*NEAR_THE_LIMIT, "--norm", "round"], "norm.type must be one of"),
         ([*NEAR_THE_LIMIT[:-2], "--urdf", "none.urdf"], "there is no file none.urdf"),
         ([*NEAR_THE_LIMIT[:-2], "--urdf", "urdf/mobile_manipulator.urdf"], "joint 'joint'"),
     ],

@@ -84,6 +84,7 @@ def test_what_a_node_is_given_arrives_as_it_is(value):
         ({"compare__hPID": {"mu": 0.5}}, r"controller 'hPID', .*\(-0.5, 0.5\), not 0.5"),
         ({"compare__hPID": {"gains": {"i": 9e5}}}, "the loop is unstable"),
         ({"duration": 0.0005}, "not a whole number of control periods"),
+        ({"robot__description": "none.urdf"}, "there is no file none.urdf"),
         ({"robot__initial_positions": {"arm_joint_1": 99.0}}, "not within its limits"),
         ({"reference__kind": "sinus"}, "did you mean 'sine'"),
         ({"reference__positions": {"elbow": [0.0, 1.0, 0.0, 0.0, 0.0]}}, "unknown joint 'elbow'"),

@@ -168,6 +168,7 @@ def test_nothing_that_is_there_is_replaced_and_a_picture_is_drawn(bag, tmp_path,
         (["--plot", "x.gif"], "--plot must end in"),
         (["--effort-unit", "any"], "needs --urdf"),
         (["--cutoff", "0"], "cutoff must be above 0"),
+        (["--longest-delay", "7"], "longest_delay must be"),
         (["-o", "same", "--json", "same"], "different files"),
     ],
 )

@@ -146,11 +146,13 @@ def test_a_recorded_excitation_lies_on_the_computed_loop(file, bag, tmp_path, ca
     [
         ({}, ["--joint", "knee"], "unknown joint 'knee'"),
         ({}, ["--controller", "PID"], "--controller is for experiments"),
+        ({}, ["--norm-max", "0"], "largest norm must be positive"),
         ({}, ["--friction", "elbow=-1"], "--friction takes B or JOINT=B"),
         ({}, ["--friction", "knee=1"], "unknown joint in --friction 'knee'"),
         ({}, ["--plot", "m.gif"], "--plot must end in .png, .pdf, .svg, not 'm.gif'"),
         ({"inertia": 0.0}, [], "the inertia of 'elbow' is unknown"),
         ({"control_period": 0.002}, ["--bag", "BAG"], "but control_period is 0.002 s"),
+        ({}, ["--bag", "BAG", "--coherence", "2"], "coherence must lie in (0, 1)"),
         ({}, ["--bag", "none"], "none"),
         (
             {"compensation": "decoupling", "gains": {"p": 200.0, "i": 500.0, "d": 20.0}},

@@ -267,6 +267,7 @@ def test_bad_axes_are_refused_in_a_line_that_repeats_them(text, words):
         (["mu=0.1"], {"controller": "hPI"}, "did you mean 'hPID'"),
         (["mu=0.1"], {"controller": "PID"}, "no effect on controller 'PID'"),
         (["mu=0.1"], {"joints": ["arm_joint_7"]}, "unknown joint 'arm_joint_7'"),
+        (["mu=0.1"], {"seeds": 0}, "seeds must be at least 1"),
         (["mu=-0.4:0.4:9999"], {"seeds": 1000}, "9999000 runs are too many"),
         (["mu=0.5:0.9:3"], {}, r"no point can run; hPID mu=0.5: .*\(-0.5, 0.5\)"),
     ],

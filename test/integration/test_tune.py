@@ -316,6 +316,9 @@ def test_a_baseline_that_cannot_be_run_is_a_failure(path, tmp_path, capsys, monk
     ("options", "words"),
     [
         (["pid", "--evaluations", "3"], "evaluations must be at least 10"),
+        (["pid", "--seeds", "0"], "seeds must be at least 1"),
+        (["pid", "--joint", "arm_joint_9"], "unknown joint 'arm_joint_9'"),
+        (["pid", "--settle", "0"], "settle must be positive"),
         (["pid", "--weight", "ivc"], "--weight must be NAME=NUMBER, not 'ivc'"),
         (["pid", "--bounds", "mu=0:0.2"], "unknown free parameter 'mu'"),
         (["hpid", "--bounds", "mu=0.2:0.1"], "the first below the second"),

@@ -236,6 +236,7 @@ def test_what_is_not_for_a_bag_or_in_the_way_is_one_line(upgraded, after, tmp_pa
         ([bag, *robot, "--inertia", "1", *new], "--inertia and --poses"),
         ([bag, *robot, "-o", tmp_path / "new.html"], "must end in .yaml"),
         ([bag, *robot, "-o", upgraded / "upgrade.yaml"], "exists"),
+        ([bag, *robot, "-o", bag / "metadata.yaml", "--force"], "input"),
         ([], "needs a parameter FILE"),
         (["--prediction", "x"], "--prediction is for --verify"),
         (["x.yaml"], "there is no parameter file and no bag x.yaml"),
