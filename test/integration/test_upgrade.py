@@ -88,15 +88,11 @@ def test_the_degree_has_the_goals_sign_and_is_certified(goal, sign):
     assert "certified" in found.reasons["mu"]
 
 
-def elbow_and_wrist():
-    """Return a joint that works hard and one that hardly does, as they were recorded."""
+def test_balanced_gives_all_joints_one_scale_in_units_of_effort():
+    """Of a joint that works hard and one that hardly does, as they were recorded."""
     loops = pid(), pid(joint="wrist", gains=Gains(3.96, 13.2, 0.396), inertia=0.0132)
     statistics = loop_statistics(recording(), 0.005)
-    return [Candidate(loop, (loop.inertia,) * 2, statistics) for loop in loops]
-
-
-def test_balanced_gives_all_joints_one_scale_in_units_of_effort():
-    both = elbow_and_wrist()
+    both = [Candidate(loop, (loop.inertia,) * 2, statistics) for loop in loops]
     proposals = list(upgrades(both, "balanced").found.values())
     mean_square = np.mean(np.square(recording().error))
     expected = math.sqrt(0.5 * (39.6**2 + 3.96**2) * mean_square)
