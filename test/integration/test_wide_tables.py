@@ -6,7 +6,6 @@ import re
 import pytest
 from harness.runs import run
 from rich.console import Console
-from rich.text import Text
 
 from hpid_ros.cli.commands.check_gains import gain_table as table_of_gains
 from hpid_ros.cli.terminal import output_console
@@ -86,14 +85,6 @@ def test_each_block_has_the_names_of_its_rows(width):
     assert len(re.findall(r"^elbow", text, re.M)) == count
     cells = {f"{k}.{end}" for k in range(12) for end in (25, 75)}
     assert numbers(text) <= cells | set(map(str, range(12)))
-
-
-def test_cells_may_have_a_style_and_no_markup():
-    text = printed(
-        WideTable([TableColumn("[b]", ["[red]x"])], [TableColumn("n", [Text("1.5")])]), 40
-    )
-    assert "[red]x" in text
-    assert "[b]" in text
 
 
 def test_a_pipe_does_not_limit_the_width():
