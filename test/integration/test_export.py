@@ -8,7 +8,7 @@ import yaml
 from harness.c_loops import compile_c
 from harness.places import ROOT
 
-from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.commands import BAD_INPUT, DONE, export
 from hpid_ros.cli.main import main
 
 GAINS = {"gains": {"p": 39.6, "i": 132.0, "d": 3.96}, "mu": -0.2, "inertia": 0.132}
@@ -41,17 +41,14 @@ def controllers(tmp_path):
     return write
 
 
-def files_of(*joints):
-    ends = (".h", ".c", "_golden.h", "_test.c")
-    return sorted(f"hpid_{joint}{end}" for joint in joints for end in ends)
-
-
 def test_each_joint_of_a_parameter_file_becomes_c_that_answers_as_python(
     controllers, tmp_path, capsys
 ):
     folder = tmp_path / "firmware"
     assert main(["export", "--c", str(controllers(mu=0.1)), "-o", str(folder)]) == DONE
-    assert sorted(each.name for each in folder.iterdir()) == files_of("elbow", "wrist")
+    ends = (".h", ".c", "_golden.h", "_test.c")
+    expected = {f"hpid_{joint}{end}" for joint in ("elbow", "wrist") for end in ends}
+    assert {each.name for each in folder.iterdir()} == expected
     assert f"written: {folder}" in capsys.readouterr().out
     assert ".mu = REAL(-0.2)" in (folder / "hpid_elbow.c").read_text()
     assert ".mu = REAL(0.1)" in (folder / "hpid_wrist.c").read_text()
@@ -138,38 +135,33 @@ def test_all_joints_become_a_package_for_ros2_control(controllers, tmp_path, hpi
 
 
 def test_a_file_of_ones_own_in_the_folder_of_a_package_is_not_replaced(
-    controllers, tmp_path, hpid
+    controllers, tmp_path, monkeypatch, hpid
 ):
+    """Which files there will be is known when the loops are certified."""
+    monkeypatch.setattr(export, "gain_ranges", lambda *_: [])
+    monkeypatch.setattr(export, "package_files", lambda *_: {"README.md": "new"})
     folder = tmp_path / "arm_controller"
     folder.mkdir()
     (folder / "README.md").write_text("mine")
-    file = str(controllers(**PID))
-    arguments = ["export", file, "--ros2-control", "-o", str(folder), "--joint", "wrist"]
-    code, _, errors = hpid(*arguments)
+    code, _, errors = hpid("export", controllers(**PID), "--ros2-control", "-o", folder)
     assert (code, "README.md exists" in errors) == (BAD_INPUT, True)
-    assert [(each.name, each.read_text()) for each in folder.iterdir()] == [("README.md", "mine")]
+    assert (folder / "README.md").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
-    ("options", "reason"),
+    ("package", "options", "reason"),
     [
-        (["--precision", "single"], "--precision single is for --c"),
-        (["--joint", "shoulder"], "unknown joint 'shoulder'"),
-        (["--inertia", "1.2"], "elbow is not certified for an inertia of 0.132 to 1.2 kg m^2: "),
-        (["--c"], "not allowed with argument"),
+        ("My-Arm", [], "'My-Arm' cannot be the name of a package"),
+        ("arm", ["--precision", "single"], "--precision single is for --c"),
+        ("arm", ["--inertia", "1.2"], "elbow is not certified for an inertia of 0.132"),
     ],
 )
 def test_a_package_that_cannot_be_is_refused_and_nothing_is_written(
-    controllers, tmp_path, capsys, options, reason
+    controllers, tmp_path, hpid, package, options, reason
 ):
-    folder = tmp_path / "arm_controller"
-    arguments = ["export", str(controllers(**PID)), "--ros2-control", "-o", str(folder)]
-    try:
-        code = main([*arguments, *options])
-    except SystemExit as ended:
-        code = ended.code
-    assert code in (BAD_INPUT, FAILED)
-    assert reason in capsys.readouterr().err
+    folder = tmp_path / package
+    code, _, errors = hpid("export", controllers(**PID), "--ros2-control", "-o", folder, *options)
+    assert (code, reason in errors) == (BAD_INPUT, True)
     assert not folder.exists()
 
 
@@ -188,8 +180,13 @@ def urdf(tmp_path):
     return file
 
 
-def test_limits_of_the_robot_are_exported(controllers, urdf, tmp_path):
+def test_limits_of_the_robot_are_exported_and_not_lost_without_a_word(
+    controllers, urdf, tmp_path, refused
+):
     folder = tmp_path / "firmware"
+    file = controllers(robot_description="package://arm/arm.urdf")
+    assert "the robot's URDF with --urdf" in refused("export", "--c", file, "-o", folder)
+    assert not folder.exists()
     command = ["export", "--c", str(controllers(u_clamp_max=5.0)), "-o", str(folder)]
     assert main([*command, "--urdf", str(urdf)]) == DONE
     elbow, wrist = ((folder / f"hpid_{name}.c").read_text() for name in ("elbow", "wrist"))
@@ -201,16 +198,3 @@ def test_limits_of_the_robot_are_exported(controllers, urdf, tmp_path):
         assert line in elbow
     assert ".u_clamp_max = REAL(5.0)" in wrist
     assert ".u_clamp_min = REAL(-7.5)" in wrist
-
-
-def test_limits_that_a_file_leaves_to_its_robot_are_not_lost_without_a_word(
-    controllers, tmp_path, refused
-):
-    file, folder = controllers(robot_description="package://arm/arm.urdf"), tmp_path / "firmware"
-    assert "the robot's URDF with --urdf" in refused("export", "--c", file, "-o", folder)
-    assert not folder.exists()
-
-
-def test_a_folder_that_is_no_package_is_refused(controllers, tmp_path, refused):
-    line = refused("export", controllers(), "--ros2-control", "-o", tmp_path / "My-Arm")
-    assert "'My-Arm' cannot be the name of a package" in line

@@ -1,8 +1,9 @@
-"""Robots that nobody of this package designed: the KUKA iiwa and the Franka Panda of PyBullet."""
+"""Robots that nobody of this package designed: found, loaded, amended, and told by hpid robot."""
 
 import dataclasses
 import json
 import logging
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,23 +12,71 @@ import numpy as np
 import pytest
 import yaml
 from harness.engines import HAS_BULLET, needs_bullet
-from harness.foreign_robots import EXPERIMENTS, IIWA, PANDA, box, robot, short
 
-from hpid_ros.base.errors import RobotDescriptionError
-from hpid_ros.base.files import ResourceError, find_resource, package_folder, package_uri
+from hpid_ros.base.errors import ExperimentError, RobotDescriptionError
+from hpid_ros.base.files import (
+    ResourceError,
+    find_resource,
+    package_folder,
+    package_uri,
+    share_folder,
+)
+from hpid_ros.base.records import Section
+from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.cli.main import main
+from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.robot.amendments import amended
+from hpid_ros.experiment.in_process import write_run_files
+from hpid_ros.metrics.results import run_indices
+from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
+from hpid_ros.simulation.world_file import read_world
+from hpid_ros.tuning.upgrade import Upgrade, upgrade_text
+from hpid_ros.tuning.upgrade_prediction import simulate as simulate_loops
 
 if HAS_BULLET:
     from hpid_ros.simulation.bullet import bullet_urdf
 
+EXPERIMENTS = share_folder() / "config" / "experiments"
+IIWA = "package://pybullet_data/kuka_iiwa/model.urdf"
+PANDA = "package://pybullet_data/franka_panda/panda.urdf"
 NAMES = ["iiwa", "panda"]
+
+
+def robot(name: str) -> RobotDescription:
+    return RobotDescription.load(find_resource(name))
+
+
+def slider() -> str:
+    """Return two hinges and, held askew on the second one, a slide."""
+    inertial = """<inertial><mass value="0.5"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.015"/></inertial>"""
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "abcd")
+    joints = "".join(
+        f"""<joint name="{pair}" type="{kind}"><parent link="{pair[0]}"/><child link="{pair[1]}"/>
+        <origin xyz="0.1 0.2 0.3" rpy="{rpy}"/><axis xyz="{axis}"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
+        for pair, kind, rpy, axis in (
+            ("ab", "revolute", "0 0 0", "0 1 0"),
+            ("bc", "revolute", "0.2 0 0", "1 0 0"),
+            ("cd", "prismatic", "0.3 -0.5 1.1", "0.6 0 0.8"),
+        )
+    )
+    return f'<robot name="slider">{links}{joints}</robot>'
+
+
+def box(mesh: str) -> str:
+    return f"""<robot name="box"><link name="body"><inertial><mass value="1"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+      <collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>
+      <link name="speck"/><joint name="hinge" type="continuous"><parent link="body"/>
+      <child link="speck"/></joint></robot>"""
+
+
 # --- where things are
 
 
@@ -61,7 +110,6 @@ def test_robots_of_ament_packages_are_found(tmp_path: Path, monkeypatch: pytest.
     [
         ("package://nope_description/a.urdf", "no ament or Python package nope_description"),
         pytest.param("package://pybullet_data/none.urdf", "pybullet_data)", marks=needs_bullet),
-        ("package://hpid_ros/none.urdf", "there is no file package://hpid_ros/none.urdf"),
         ("package://../a.urdf", "no ament or Python package .."),
         ("package://config/experiments/paper.yaml", "no ament or Python package config"),
         pytest.param("pybullet_data/none.urdf", "pybullet_data)", marks=needs_bullet),
@@ -174,22 +222,6 @@ def test_what_nobody_sees_is_not_loaded():
 
 @needs_bullet
 @pytest.mark.parametrize("name", NAMES)
-def test_gains_keep_to_the_rule_that_the_file_states(name: str):
-    experiment = load_experiment(EXPERIMENTS / f"{name}.yaml")
-    world = experiment.world
-    dynamics = Dynamics(RobotDescription.load(world.robot_description))
-    inertias = dynamics.joint_inertias(world.joints, world.initial_positions)
-    speed = 10.0  # [rad/s]
-    for settings in experiment.controllers["PID"]:
-        inertia = inertias[settings.joint]
-        rule = (3.0 * speed**2 * inertia, speed**3 * inertia, 3.0 * speed * inertia)
-        gains = settings.gains
-        assert (gains.p, gains.i, gains.d) == pytest.approx(rule, rel=0.01)
-        assert settings.inertia == pytest.approx(inertia, rel=0.01)
-
-
-@needs_bullet
-@pytest.mark.parametrize("name", NAMES)
 def test_the_baseline_settles_within_the_limits_of_the_arm(name: str):
     experiment = load_experiment(EXPERIMENTS / f"{name}.yaml")
     joints = RobotDescription.load(experiment.world.robot_description).joints
@@ -206,23 +238,15 @@ def test_the_baseline_settles_within_the_limits_of_the_arm(name: str):
 
 
 @needs_bullet
-def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
-    from hpid_ros.experiment.compare import compare
-    from hpid_ros.experiment.in_process import NoProgress
-
-    experiment = load_experiment(short("panda", tmp_path, duration=0.1), "mujoco")
-    results = []
-    for in_process in (False, True):
-        folder = tmp_path / f"in_process={in_process}"
-        options = {"in_process": in_process}
-        results.append(compare(experiment, folder, NoProgress(), **options))
-    graph, one_process = ((each.folder.path / "result.json").read_bytes() for each in results)
-    assert graph == one_process
-    # The parameter files stay readable: the robot, a text in the experiment, is a file of its own.
-    nodes = results[0].folder.path / "nodes" / "PID"
-    assert (nodes / "robot.urdf").read_text() == experiment.world.robot_description
-    assert str(nodes / "robot.urdf") in (nodes / "controllers.yaml").read_text()
-    assert "<robot" not in (nodes / "world.yaml").read_text()
+def test_nodes_read_the_amended_robot_from_a_file_of_its_own(tmp_path: Path):
+    experiment = load_experiment(EXPERIMENTS / "panda.yaml")
+    controllers, _ = write_run_files(tmp_path, experiment, experiment.controllers["PID"])
+    urdf = tmp_path / "robot.urdf"
+    assert urdf.read_text() == experiment.world.robot_description
+    assert str(urdf) in controllers.read_text()
+    document = load_yaml(tmp_path / "world.yaml", ExperimentError)
+    there = read_world(Section(document, "", ExperimentError), ()).world
+    assert there == experiment.world
 
 
 # --- what commands make of them
@@ -230,9 +254,6 @@ def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
 
 @needs_bullet
 def test_predictions_start_where_the_experiment_does():
-    from hpid_ros.metrics.results import run_indices
-    from hpid_ros.tuning.upgrade_prediction import simulate as simulate_loops
-
     experiment = load_experiment(EXPERIMENTS / "panda.yaml")
     world = experiment.world
     (predicted,) = simulate_loops(
@@ -249,9 +270,6 @@ def test_predictions_start_where_the_experiment_does():
 
 @needs_bullet
 def test_an_upgraded_file_keeps_the_model_of_the_robot():
-    from hpid_ros.control.controller_files import settings_from_parameters
-    from hpid_ros.tuning.upgrade import Upgrade, upgrade_text
-
     first = load_experiment(EXPERIMENTS / "panda.yaml").controllers["PID"][0]
     model = dataclasses.replace(first.model, description="/robots/an arm.urdf")
     settings = dataclasses.replace(first, model=model)
@@ -277,3 +295,173 @@ def test_check_gains_knows_the_inertias_of_an_experiments_robot(
     main([*arguments, IIWA])
     (verdict,) = json.loads(capsys.readouterr().out).values()
     assert verdict["inertia"][1] < 0.0011
+
+
+# --- what a file lays over a robot
+
+
+@needs_bullet
+def test_amendments_reach_everyone_who_reads_the_robot():
+    better = JointAmendment(4.54e-5, 160.0, 0.1, 0.2, 40.0, 2.3)
+    joints = {"lbr_iiwa_joint_7": better, "lbr_iiwa_joint_1": JointAmendment(friction=3.0)}
+    arm = amended(robot(IIWA), joints, {}, {})
+    last = arm.joints["lbr_iiwa_joint_7"]
+    assert (last.rotor_inertia, last.gear_ratio, last.damping) == (4.54e-5, 160.0, 0.1)
+    assert (last.friction, last.effort, last.velocity) == (0.2, 40.0, 2.3)
+    assert (last.lower, last.upper) == (-3.05432619099, 3.05432619099)
+    first = arm.joints["lbr_iiwa_joint_1"]
+    assert (first.friction, first.damping, first.effort) == (3.0, 0.5, 300.0)
+    reflected = 4.54e-5 * 160.0**2
+    plain, better = (
+        Dynamics(each).mass_matrix(["lbr_iiwa_joint_7"], {}) for each in (robot(IIWA), arm)
+    )
+    assert better[0, 0] - plain[0, 0] == pytest.approx(reflected, rel=1e-12)
+
+
+def test_an_amendment_of_a_transmission_that_is_there_changes_it_alone():
+    own = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
+    better = amended(own, {"arm_joint_2": JointAmendment(rotor_inertia=1e-3)}, {}, {})
+    assert better.joints["arm_joint_2"].rotor_inertia == 1e-3
+    assert better.joints["arm_joint_2"].gear_ratio == own.joints["arm_joint_2"].gear_ratio
+    assert better.joints["arm_joint_1"] == own.joints["arm_joint_1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "tip"),
+    [
+        pytest.param(IIWA, "lbr_iiwa_link_7", id="iiwa", marks=needs_bullet),
+        pytest.param(PANDA, "panda_leftfinger", id="panda", marks=needs_bullet),
+        pytest.param(None, "d", id="slider"),
+    ],
+)
+def test_a_held_joint_stands_where_it_would_stand_if_it_moved_there(name: str | None, tip: str):
+    free = robot(name) if name else RobotDescription.load(slider())
+    chance = np.random.default_rng(3)
+    there = {name: float(chance.uniform(j.lower, j.upper)) for name, j in free.joints.items()}
+    held = {joint: there[joint] for joint in list(free.joints)[2::2]}
+    stiff = amended(free, {}, {}, held)
+    moving = tuple(joint for joint in free.joints if joint not in held)
+    assert tuple(stiff.joints) == moving
+    where = []
+    for description in (free, stiff):
+        positions = {joint: there[joint] for joint in description.joints}
+        settings = WorldSettings(
+            description.xml, moving, initial_positions=positions, fixed_base=True
+        )
+        with World(settings) as world:
+            place = world.link_pose(tip)
+            where.append([*place.position, *np.abs(place.orientation)])
+    assert where[0] == pytest.approx(where[1], abs=1e-9)
+    masses = [
+        Dynamics(each).mass_matrix(moving, {joint: there[joint] for joint in each.joints})
+        for each in (free, stiff)
+    ]
+    assert np.allclose(*masses, rtol=0.0, atol=1e-12)
+
+
+@needs_bullet
+def test_an_amended_robot_means_the_same_on_every_machine():
+    experiment = load_experiment(EXPERIMENTS / "panda.yaml")
+    text = str(experiment.world.robot_description)
+    assert "package://pybullet_data/franka_panda/meshes/collision/link0.obj" in text
+    assert str(package_folder("pybullet_data")) not in text
+    assert "panda_finger_joint1" not in RobotDescription.load(text).joints
+
+
+@needs_bullet
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"held": {"panda_finger": 0.02}}, "robot: unknown joint 'panda_finger'; did you mean"),
+        ({"held": {"panda_finger_joint1": 0.3}}, r"not within its limits \[0.0, 0.04\]"),
+        ({"joints": {"panda_joint1": {"gear_ratio": 0}}}, "gear_ratio must not be 0"),
+        ({"links": {"panda_link9": {"mass": 0}}}, "unknown link 'panda_link9'"),
+        ({"links": {"panda_link1": {"mass": 1}}}, "robot.links.panda_link1: inertia is missing"),
+        (
+            {"links": {"panda_link1": {"mass": 1, "inertia": {"ixx": 3, "iyy": 1, "izz": 1}}}},
+            "no body has the principal moments 1, 1, 3",
+        ),
+        (
+            {"links": {"panda_link1": {"mass": 0, "inertia": {"ixx": 3, "iyy": 1, "izz": 1}}}},
+            "robot.links.panda_link1: inertia must be left out where mass is 0",
+        ),
+        ({"held": {"panda_joint1": 0.0}}, "unknown joint 'panda_joint1'"),  # it is driven
+    ],
+)
+def test_an_impossible_amendment_is_one_line(tmp_path: Path, changes: dict, says: str):
+    document = yaml.safe_load((EXPERIMENTS / "panda.yaml").read_text())
+    document["robot"] |= changes
+    path = tmp_path / "panda.yaml"
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(ExperimentError, match=says) as refusal:
+        load_experiment(path)
+    assert "\n" not in str(refusal.value)
+
+
+# --- hpid robot
+
+
+def test_hpid_robot_names_the_joints_that_slide_and_their_units(tmp_path, capsys):
+    (tmp_path / "slider.urdf").write_text(slider())
+    assert main(["robot", str(tmp_path / "slider.urdf")]) == 0
+    assert "cd slides: m and m/s, N, N s/m and kg, where" in " ".join(
+        capsys.readouterr().out.split()
+    )
+
+
+@needs_bullet
+def test_hpid_robot_says_what_the_urdf_lacks(capsys: pytest.CaptureFixture[str]):
+    assert main(["robot", PANDA, "--poses", "2", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    texts = {each["text"]: each["names"] for each in said["remarks"]}
+    (placeholder,) = [text for text in texts if "0.1 0.1 0.1 kg m^2" in text]
+    assert len(texts[placeholder]) == 13
+    (weightless,) = [text for text in texts if "without mass" in text]
+    assert texts[weightless] == ["panda_link8", "panda_grasptarget"]
+    assert any("friction" in text for text in texts)
+    assert [names for text, names in texts.items() if "mimics" in text] == [
+        ["panda_finger_joint2"]
+    ]
+    assert said["joints"]["panda_joint7"]["largest_inertia"] > 0.3
+
+    assert main(["robot", str(EXPERIMENTS / "panda.yaml"), "--poses", "2", "--json"]) == 0
+    better = json.loads(capsys.readouterr().out)
+    assert better["remarks"] == []
+    assert better["joints"]["panda_joint7"]["inertia"] == pytest.approx(0.2122, rel=1e-3)
+
+
+def test_a_robot_without_limits_is_told_and_no_success(tmp_path: Path, capsys):
+    manipulator = find_resource("urdf/mobile_manipulator.urdf")
+    text = re.sub(r'effort="[^"]*"', "", manipulator.read_text(), count=1)
+    (tmp_path / "bare.urdf").write_text(text)
+    assert main(["robot", str(tmp_path / "bare.urdf"), "--poses", "1"]) == 1
+    printed = capsys.readouterr().out
+    assert "no effort limit" in printed
+    assert "before a robot is driven by it" in printed
+    assert main(["robot", str(manipulator), "--poses", "1"]) == 0
+
+
+@needs_bullet
+def test_hpid_robot_saves_a_robot_that_loads_from_anywhere(tmp_path: Path, refused):
+    saved = tmp_path / "arm.urdf"
+    file = str(EXPERIMENTS / "iiwa.yaml")
+    assert main(["robot", file, "--poses", "1", "--save", str(saved)]) == 0
+    assert "exists" in refused("robot", file, "--poses", "1", "--save", saved)
+    before = saved.read_bytes()
+    told = refused("robot", saved, "--poses", "1", "--save", saved, "--force")
+    assert "is an input" in told
+    assert saved.read_bytes() == before
+    description = RobotDescription.load(saved)
+    assert description.joints["lbr_iiwa_joint_6"].gear_ratio == 160.0
+    with World(WorldSettings(saved, tuple(description.joints), fixed_base=True)) as world:
+        world.step((0.0,) * 7)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "says"),
+    [("<robot", "not readable XML"), (box("none.obj"), "mass matrix of 'box' cannot be inverted")],
+)
+def test_hpid_robot_refuses_in_one_line(urdf: str, says: str, tmp_path: Path, refused):
+    path = tmp_path / "bad.urdf"
+    path.write_text(urdf)
+    assert says in refused("robot", path)

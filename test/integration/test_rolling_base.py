@@ -2,8 +2,6 @@
 
 import json
 import math
-import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,7 +150,6 @@ def test_odometry_is_what_the_encoders_said(experiment_file, tmp_path):
 @pytest.mark.parametrize(
     ("base", "message"),
     [
-        ({**BASE, "wheel_radius": -1.0}, "robot.base.wheel_radius must be above 0"),
         ({**BASE, "left_wheel": "wheel"}, "robot.base: unknown joint 'wheel'"),
         ({**BASE, "left_wheel": WHEELS[1], "right_wheel": WHEELS[0]}, "left and right of"),
     ],
@@ -160,26 +157,6 @@ def test_odometry_is_what_the_encoders_said(experiment_file, tmp_path):
 def test_a_bad_base_is_refused_with_its_place(experiment_file, base, message):
     with pytest.raises(ExperimentError, match=message):
         load_experiment(experiment_file(robot__base=base))
-
-
-def test_odometry_without_a_base_is_the_truth_and_with_one_says_how_sure_it_is():
-    settings = WorldSettings(URDF, JOINTS, initial_positions=HOME)
-    with World(settings) as world:
-        sent = dict(Reports(world, "payload", 50.0, None).sample(0, world.read()))
-    assert sent["odom"] == sent["base_pose_ground_truth"]
-    assert "wheel_slip" not in sent
-    with World(replace(settings, encoder_counts=256, base=DRIVE)) as world:
-        monitor = BaseMonitor(world)
-        monitor.note(world.read())
-        for _ in drive_open_loop(world, [(0.5, 0.9)] * 300):
-            monitor.note(world.read())
-        _, covariance, _, rates = monitor.report()
-    plane = np.ix_([0, 1, 5], [0, 1, 5])
-    for each in (np.reshape(covariance, (6, 6)), np.reshape(rates, (6, 6))):
-        assert (each == each.T).all()
-        assert (np.linalg.eigvalsh(each[plane]) > -1e-15).all()
-        assert 0.0 < each[0, 0] < 0.1 > each[5, 5] > 0.0
-        assert (np.diag(each)[[2, 3, 4]] == 1e6).all()  # which wheels do not measure
 
 
 def test_wheels_must_be_driven():
@@ -242,7 +219,23 @@ def drive_open_loop(world, efforts):
         yield
 
 
-def test_odometry_starts_again_with_a_reset_and_says_the_same():
+def test_pose_errors_know_that_angles_wrap():
+    one = np.array([[0.0, 0.0, 3.1], [3.0, 4.0, 3.1]])
+    other = np.array([[0.0, 0.0, 3.1 - 2.0 * np.pi], [0.0, 0.0, -3.1]])
+    errors = PoseErrors.between(one, other)
+    assert errors.final_position == errors.largest_position == 5.0
+    assert errors.rms_position == pytest.approx(5.0 / math.sqrt(2.0))
+    assert errors.final_heading == pytest.approx(2.0 * math.pi - 6.2)
+
+
+def test_odometry_without_a_base_is_the_truth():
+    with World(WorldSettings(URDF, JOINTS, initial_positions=HOME)) as world:
+        sent = dict(Reports(world, "payload", 50.0, None).sample(0, world.read()))
+    assert sent["odom"] == sent["base_pose_ground_truth"]
+    assert "wheel_slip" not in sent
+
+
+def test_odometry_says_how_sure_it_is_and_starts_again_with_a_reset():
     settings = WorldSettings(URDF, JOINTS, initial_positions=HOME, encoder_counts=4096, base=DRIVE)
     with World(settings) as world:
         monitor = BaseMonitor(world)
@@ -256,54 +249,18 @@ def test_odometry_starts_again_with_a_reset_and_says_the_same():
             for _ in drive_open_loop(world, [(0.5, 0.9)] * 300):
                 monitor.note(world.read())
             reports.append(monitor.report())
-        assert reports[0] == reports[1]
-        pose, _, twist, _ = reports[0]
-        pose = planar(pose)
-        assert pose == pytest.approx(planar(world.base_pose()), abs=1e-3)
-        assert twist.linear[0] == pytest.approx(pose.x / 0.3, rel=0.05)
-        assert abs(pose.x) > 0.02
-
-
-@pytest.mark.parametrize("torques", [(1.0, 1.0), (-0.6, 0.6)], ids=["straight", "turning"])
-def test_balls_take_no_energy(torques):
-    """A base that rolls on wheels without friction in their bearings keeps its speed."""
-    kept = speeds_while_coasting(URDF.read_text(), torques)
-    assert np.abs(kept / kept[0] - 1.0).max() < 1e-4
-    if torques[0] < 0.0:
-        return
-    dragging = URDF.read_text().replace(
-        '<lateral_friction value="0"/>', '<lateral_friction value="0.02"/>'
-    )
-    lost = speeds_while_coasting(dragging, torques)
-    assert lost[-1] < 0.95 * lost[0]  # so that the test would see it
-
-
-def speeds_while_coasting(text, torques):
-    """Return v [m/s] or w [rad/s] every 0.1 s, from 0.2 s after half a second of torque on."""
-    free, count = re.subn(
-        r'(<axis xyz="0 1 0"/>\s*<limit effort="6" velocity="15"/>\s*)<dynamics[^>]*>',
-        r'\1<dynamics damping="0" friction="0"/>',
-        text,
-    )
-    assert count == 2
-    speeds = []
-    with World(WorldSettings(free, JOINTS, initial_positions=HOME)) as world:
-        efforts = [torques] * 500 + [(0.0, 0.0)] * 700
-        for period, _ in enumerate(drive_open_loop(world, efforts)):
-            if period >= 700 and period % 100 == 0:
-                velocity = world.base_velocity()
-                is_turning = torques[0] < 0.0
-                speeds.append(velocity.angular[2] if is_turning else velocity.linear[0])
-    return np.array(speeds)
-
-
-def test_pose_errors_know_that_angles_wrap():
-    one = np.array([[0.0, 0.0, 3.1], [3.0, 4.0, 3.1]])
-    other = np.array([[0.0, 0.0, 3.1 - 2.0 * np.pi], [0.0, 0.0, -3.1]])
-    errors = PoseErrors.between(one, other)
-    assert errors.final_position == errors.largest_position == 5.0
-    assert errors.rms_position == pytest.approx(5.0 / math.sqrt(2.0))
-    assert errors.final_heading == pytest.approx(2.0 * math.pi - 6.2)
+        pose = planar(world.base_pose())
+    assert reports[0] == reports[1]
+    found, covariance, twist, rates = reports[0]
+    assert planar(found) == pytest.approx(pose, abs=1e-3)
+    assert twist.linear[0] == pytest.approx(pose.x / 0.3, rel=0.05)
+    assert abs(pose.x) > 0.02
+    plane = np.ix_([0, 1, 5], [0, 1, 5])
+    for each in (np.reshape(covariance, (6, 6)), np.reshape(rates, (6, 6))):
+        assert (each == each.T).all()
+        assert (np.linalg.eigvalsh(each[plane]) > -1e-15).all()
+        assert 0.0 < each[0, 0] < 0.1 > each[5, 5] > 0.0
+        assert (np.diag(each)[[2, 3, 4]] == 1e6).all()  # which wheels do not measure
 
 
 def test_where_the_truth_begins_does_not_matter():

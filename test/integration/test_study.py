@@ -5,18 +5,20 @@ import importlib
 import json
 import re
 import shutil
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
-from harness.engines import shipped
+from harness.engines import needs_bullet, shipped
 from harness.places import ROOT
 from harness.studies import ARM, saved, study
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
+from hpid_ros.cli.commands.batches import _shipped_files
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.batch import (
     LAST_ERROR,
@@ -32,6 +34,7 @@ from hpid_ros.experiment.study_plan import (
     JournalEntry,
     RunKey,
     default_files,
+    is_robot_installed,
     plan_study,
     read_journal,
 )
@@ -94,27 +97,11 @@ def test_every_experiment_runs_and_no_two_seeds_are_alike(path):
         assert len({each.value(quantity) for each in found}) == 3, quantity.key
 
 
-VARIANTS = ["step", "smooth", "sine", "payload", "wrench", "noise", "motors"]
-
-
 def test_the_default_study_is_all_experiments_but_the_bricks_the_paper_first():
     names = [path.stem for path in default_files()]
     assert names[0] == "paper"
     assert "bricks" not in names
-    assert set(VARIANTS) <= set(names)
-
-
-@pytest.mark.parametrize("name", VARIANTS)
-def test_every_variant_is_another_experiment_but_for_one_thing(name):
-    path = EXPERIMENTS / f"{name}.yaml"
-    written = yaml.safe_load(path.read_text())
-    assert written["name"] == name
-    variant, base = load_experiment(path), load_experiment(EXPERIMENTS / written["extends"])
-    changed = {"reference", "disturbances", "sensors", "actuators"} & set(written)
-    assert len(changed) == 1
-    assert (variant.judged, variant.duration) == (base.judged, base.duration)
-    first, other = (next(iter(each.controllers.values())) for each in (base, variant))
-    assert [each.gains for each in first] == [each.gains for each in other]
+    assert {"step", "smooth", "sine", "payload", "wrench", "noise", "motors"} <= set(names)
 
 
 def test_what_is_saved_depends_on_the_plan_alone(studied, tmp_path, capsys, backwards):
@@ -236,10 +223,8 @@ def test_an_interrupt_leaves_what_was_run(studied, tmp_path, capsys, losing):
     ("options", "words"),
     [
         (["--seeds", "0"], "seeds must be at least 1"),
-        (["--jobs", "0"], "--jobs must be at least 1"),
         (["--joint", "arm_joint_9"], "unknown joint 'arm_joint_9'"),
         (["--resume"], "--resume needs the study's folder"),
-        (["nowhere.yaml"], "cannot read nowhere.yaml"),
         (["a.yaml"], "two experiments are called 'calm'"),
         (["--resume", "-o", "empty"], "is not a study that could be carried on"),
         (["--resume", "-o", "foreign"], "has no hpid_result.json"),
@@ -315,3 +300,71 @@ def test_a_page_is_written_only_between_its_marks(studied, tmp_path, monkeypatch
     tables = (folder / "tables.md").read_text()
     (loops,) = re.findall(r"<!-- begin loops -->\n.*?<!-- end loops -->\n", tables, re.S)
     assert page.read_text() == words.format(loops)
+
+
+def runs_of(folder):
+    """Return the numbers of every run and joint in runs.csv, by all that names it."""
+    names = ("experiment", "engine", "controller", "seed", "joint")
+    with (folder / "runs.csv").open() as file:
+        return {tuple(row.pop(name) for name in names): row for row in csv.DictReader(file)}
+
+
+@needs_bullet
+def test_the_other_engine_is_added_to_a_study_and_what_both_give_is_compared(
+    studied, tmp_path, capsys, study_runs
+):
+    files, folder = studied
+    alone = runs_of(folder)
+    assert "engines" not in saved(folder)
+    assert study(files, tmp_path / "pybullet", "--engine", "pybullet", seeds=1) == DONE
+    alone |= runs_of(tmp_path / "pybullet")
+    assert not (tmp_path / "pybullet" / "engines.csv").exists()
+    study_runs.clear()
+    assert study(files, folder, "--engine", "both", "--resume") == DONE
+    assert len(study_runs) == len([label for label in study_runs if "(pybullet)" in label]) == 8
+    assert "How far MuJoCo's totals lie from PyBullet's" in capsys.readouterr().out
+    runs = runs_of(folder)
+    assert alone.items() <= runs.items()
+    rows = list(csv.DictReader((folder / "engines.csv").open()))
+    found = set()
+    for row in rows:
+        name = (row["experiment"], row["controller"], row["seed"])
+        bullet, mujoco = (
+            runs[(name[0], engine, *name[1:], "all")][row["quantity"]]
+            for engine in ("pybullet", "mujoco")
+        )
+        assert (row["pybullet"], row["mujoco"]) == (bullet, mujoco)
+        assert float(row["distance"]) == float(mujoco) / float(bullet) - 1.0
+        found.add((*name, row["quantity"]))
+    assert found >= {(key[0], *key[2:4], each.key) for key in runs for each in INDICES}
+    assert any(float(row["distance"]) for row in rows)
+    document = saved(folder)
+    assert set(document["experiments"]) == {
+        f"{name} ({engine})" for name in ("calm", "noisy") for engine in ("pybullet", "mujoco")
+    }
+    ratio = document["experiments"]["noisy (mujoco)"]["controllers"]["hPID"]["ratios"]["ivc"]
+    of_engines = document["engines"]["noisy"]["hPID"]["ivc"]["ratios"]
+    assert of_engines["mujoco"] == pytest.approx(ratio["median"], rel=1e-12)
+    # A claim holds only if it does in both.
+    assert set(document["claims"]["hPID"][0]["figures"]) == set(document["experiments"])
+    assert {each.name for each in (folder / "experiments").iterdir()} == {
+        "calm.yaml",
+        "noisy.yaml",
+    }
+    whole, journal = contents(folder), folder / "runs.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join(lines[:1] + lines[3:]) + lines[2][:99])
+    study_runs.clear()
+    assert study(files, folder, "--engine", "both", "--resume") == DONE
+    assert len(study_runs) == 2
+    assert contents(folder) == whole
+
+
+def test_robots_that_are_not_installed_are_named_and_left_out(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pybullet_data", None)
+    names = [file.stem for file in _shipped_files()]
+    assert "paper" in names
+    assert not {"iiwa", "panda"} & set(names)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("iiwa, panda")
+    assert all(is_robot_installed(EXPERIMENTS / f"{name}.yaml") for name in names)

@@ -34,7 +34,6 @@ def late(signal, samples):
     [
         (MOVE, np.zeros_like(TIME), 0.5),  # stays where it was
         (np.zeros_like(TIME), np.full_like(TIME, -0.4), 0.4),  # at rest beside its reference
-        (MOVE, MOVE + 0.4, 0.4),
         (SWING, np.full_like(TIME, 2.0), 1.5),
     ],
 )
@@ -53,7 +52,6 @@ def test_a_joint_whose_error_stays_large_is_found_with_that_error(reference, pos
     [
         (MOVE, late(MOVE, 700)),  # slow, but it arrives
         (MOVE, MOVE + 0.04),  # an offset that gravity leaves to a PD
-        (SWING, late(SWING, 200)),
         (40.0 * TIME, 40.0 * TIME - 3.0),  # a wheel behind its reference
         (np.zeros_like(TIME), np.where(TIME < 3.0, 0.4, 0.0)),  # gets there in the end
     ],

@@ -241,11 +241,8 @@ def test_what_is_not_for_a_bag_or_in_the_way_is_one_line(upgraded, after, tmp_pa
         (["--prediction", "x"], "--prediction is for --verify"),
         (["x.yaml"], "there is no parameter file and no bag x.yaml"),
         ([upgraded / "pid.yaml"], "--goal is missing"),
-        ([tmp_path, *robot, *new], "no bag at"),
         (["x.yaml", "--goal", "fast", "--params", "y.yaml"], "--params is for a BAG"),
         ([*verify, "--goal", "fast"], "nothing else, not --goal"),
-        ([*verify, "--prediction", tmp_path / "no.json"], "cannot read"),
-        ([*verify, "--prediction", upgraded / "pid.yaml"], "no JSON"),
         ([*verify, "--prediction", tmp_path / "other.json"], "no prediction that"),
         ([after, *robot, *new], "was not recorded under a PID"),
     ]

@@ -4,16 +4,16 @@ import io
 import re
 
 import pytest
+from harness.runs import run
 from rich.console import Console
-from rich.text import Text
 
 from hpid_ros.cli.commands.check_gains import gain_table as table_of_gains
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.settings import Timing
 from hpid_ros.metrics import Comparison
-from hpid_ros.report.table import UNLIMITED_WIDTH, ComparisonTable, TableColumn, WideTable
-from hpid_ros.stability.gain_check import GainVerdict
+from hpid_ros.report.table import UNLIMITED_WIDTH, ComparisonTable, Grid, TableColumn, WideTable
+from hpid_ros.stability.gain_check import GainVerdict, check_gains
 
 WIDTHS = (24, 40, 60, 80)
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])")
@@ -46,20 +46,7 @@ def gain_table():
     return table_of_gains({name: verdict(name, k) for k, name in enumerate(names)})
 
 
-def robot_table():
-    from hpid_ros.cli.commands.robot import _table
-
-    fact = {
-        "lower": -2.96706, "upper": 2.96706, "effort": 176.4, "velocity": 1.4835,
-        "damping": 0.5123, "friction": 0.3579, "reflected_inertia": 3.3818, "inertia": 4.7312,
-        "gravity": -123.456, "least_inertia": 3.4123, "largest_inertia": 12.9871,
-    }  # fmt: skip
-    return _table("a robot", {"iiwa_joint_1": fact, "iiwa_joint_2": {**fact, "effort": None}})
-
-
 def comparison_table():
-    from harness.runs import run
-
     rows = [(2390.12, 142.345, 4.38512), (618.987, 68.0123, 3.70421), (0.00123, 1e9, 55.5)]
     runs = [
         run(label, [tuple(x * (1 + k / 7) for x in row) for row in rows])
@@ -69,30 +56,12 @@ def comparison_table():
 
 
 def study_grid():
-    from hpid_ros.report.table import Grid
-
     headings = ("index", "PID", "hPID", "ratio", "searched", "ratio")
-    row = (
-        "IVC [N m]",
-        "34.758 (33.1..35.9)",
-        "34.209 (33.0..34.9)",
-        "0.984 (0.97..0.99)",
-        "9",
-        "8",
-    )
-    return Grid("key", "totals", headings, (row, ("note", *["-"] * 5)), "Medians over 20 seeds.")
+    row = ("IVC [N m]", "34.758 (33.1..35.9)", "34.209 (33.0..34.9)", "0.984 (0.97..0.99)", "9")
+    return Grid("key", "totals", headings, ((*row, "8"), ("note", *["-"] * 5)), "Medians.")
 
 
-def timing_table():
-    headings = ("joint", "period", "p99", "compute", "p99", "latency", "p99", "missed", "silent")
-    row = ("1000.4", "1523.1", "55.5", "1234", "77.7", "2345", "12", "34567")
-    rows = [("(bridge)", *row[:2], *[""] * 6), ("arm_1", *row)]
-    return WideTable.of_rows(headings, rows, padding=2)
-
-
-TABLES = (
-    gain_table, robot_table, comparison_table, study_grid, timing_table
-)  # fmt: skip
+TABLES = (gain_table, comparison_table, study_grid)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -114,19 +83,8 @@ def test_each_block_has_the_names_of_its_rows(width):
     count = len(re.findall(r"^joint", text, re.M))
     assert count > 1
     assert len(re.findall(r"^elbow", text, re.M)) == count
-    assert (
-        not numbers(text)
-        - {f"{k}.{end}" for k in range(12) for end in (25, 75)}
-        - set(map(str, range(12)))
-    )
-
-
-def test_cells_may_have_a_style_and_no_markup():
-    text = printed(
-        WideTable([TableColumn("[b]", ["[red]x"])], [TableColumn("n", [Text("1.5")])]), 40
-    )
-    assert "[red]x" in text
-    assert "[b]" in text
+    cells = {f"{k}.{end}" for k in range(12) for end in (25, 75)}
+    assert numbers(text) <= cells | set(map(str, range(12)))
 
 
 def test_a_pipe_does_not_limit_the_width():
@@ -135,7 +93,5 @@ def test_a_pipe_does_not_limit_the_width():
 
 def test_a_gain_table_names_a_sampling_rate_that_breaks_the_loop():
     loop = LoopSettings("elbow", Gains(100.0, 100.0, 20.0), timing=Timing(control_period=0.06))
-    from hpid_ros.stability.gain_check import check_gains
-
     text = printed(table_of_gains({"elbow": check_gains([(loop, (1.0, 1.0))])[0]}), 80)
     assert "T kd lam / m = 1.20: the sampled loop breaks at 0.85" in " ".join(text.split())

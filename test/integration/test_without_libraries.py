@@ -1,4 +1,4 @@
-"""What a robot needs works without optional libraries; the rest says what it lacks."""
+"""A robot needs no optional library, the rest says what it lacks; slow ones come when needed."""
 
 import subprocess
 import sys
@@ -83,3 +83,39 @@ def test_a_module_that_nobody_may_lack_is_no_optional_one():
             raise ModuleNotFoundError("No module named 'lz4'", name="lz4.frame")
     with pytest.raises(ModuleNotFoundError, match="numpy"), optional_libraries():
         raise ModuleNotFoundError("No module named 'numpy'", name="numpy")
+
+
+SLOW = {"matplotlib", "mujoco", "pinocchio", "pybullet", "scipy"}
+NODES = (
+    *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
+    *("mujoco_bridge", "trajectory_publisher", "bag_recorder", "follow_joint_trajectory"),
+)
+
+
+def imported_by(program, *arguments):
+    """Return the modules that a program has imported when it ends."""
+    program += "; import sys; print(*sys.modules, file=sys.stderr)"
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(ended.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.repository
+def test_nothing_slow_is_imported_when_nodes_start():
+    modules = {*(f"hpid_ros.nodes.{name}" for name in NODES), "hpid_ros.live.live_tuner"}
+    imported = imported_by(f"import {', '.join(modules)}")
+    assert modules <= imported
+    assert not SLOW & imported
+
+
+@pytest.mark.repository
+def test_the_help_waits_for_no_library():
+    assert not {"numpy", "rich", "yaml", "rosbags"} & imported_by("import hpid_ros.cli.main")
+
+
+@pytest.mark.repository
+def test_the_recording_of_a_robot_is_measured_without_the_simulated_one(bag):
+    """And without rosbags' message types, which take as long as the measuring."""
+    imported = imported_by(f"import sys; {COMMAND.replace('sys.exit', '')}", "metrics", bag)
+    assert "numpy" in imported
+    assert not (SLOW | {"rosbags", "jinja2", "joblib", "rclpy"}) & imported

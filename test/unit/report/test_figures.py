@@ -1,9 +1,9 @@
 """The figures: what is in them, how matplotlib draws them, and their files."""
 
 import dataclasses
-import io
 import math
 import os
+import re
 import subprocess
 import sys
 
@@ -15,7 +15,6 @@ from hypothesis.extra import numpy as hnp
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from PIL import Image
 
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.assembly import make_law, make_norm, make_velocity_source
@@ -25,7 +24,7 @@ from hpid_ros.metrics.comparison import Comparison, fold_repeats
 from hpid_ros.metrics.indices import chatter, l2_norm
 from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, gain_signals, norm_over_joints
 from hpid_ros.metrics.results import run_indices
-from hpid_ros.report.figures import NO_RUN, PAPER, RUN_STYLES, figures_of, phase_curve
+from hpid_ros.report.figures import PAPER, RUN_STYLES, figures_of, phase_curve
 from hpid_ros.report.plots import (
     TickLabels,
     drawn,
@@ -107,39 +106,24 @@ def gains(runs):
 # What is drawn ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "attribute", "label"),
-    [
-        ("positions", "position", "position [rad]"),
-        ("efforts", "effort", "effort [N m]"),
-        ("errors", "error", "error [rad]"),
-    ],
-)
-def test_each_joint_has_a_panel_with_the_signal_of_each_run(runs, name, attribute, label):
+def test_each_joint_has_a_panel_with_the_signal_of_each_run(runs):
     turned = [runs[0], RunSeries("hPID", runs[1].joints[::-1])]  # matched by name
-    plot = drawing(figures(turned)[name], turned)
+    plot = drawing(figures(turned)["positions"], turned)
     assert [axes.get_title(loc="left") for axes in panels(plot)] == list(runs[0].joint_names)
-    assert (plot.get_supylabel(), plot.get_supxlabel()) == (label, "time [s]")
+    assert (plot.get_supylabel(), plot.get_supxlabel()) == ("position [rad]", "time [s]")
+    assert legend(plot) == ["PID", "hPID", "reference"]
     for axes, joint in zip(panels(plot), runs[1].joints, strict=True):
         (line,) = lines_of(axes, RUN_STYLES[1])
         assert np.array_equal(line.get_xdata(), joint.time)
-        assert np.array_equal(line.get_ydata(), getattr(joint, attribute))
+        assert np.array_equal(line.get_ydata(), joint.position)
 
 
-def test_positions_stand_over_their_reference_and_the_legend_names_all(runs):
-    figure = figures(runs)["positions"]
-    assert figure.panels[0].lines[0].run == NO_RUN
-    assert not figure.panels[0].lines[0].y.any()
-    assert legend(drawing(figure, runs)) == ["PID", "hPID", "reference"]
-
-
-@pytest.mark.parametrize(("name", "unit"), [("effort", "N m"), ("error", "rad")])
-def test_norm_figures_show_the_euclidean_norm_over_joints(runs, name, unit):
-    plot = drawing(figures(runs)[f"{name}_norm"], runs)
+def test_norm_figures_show_the_euclidean_norm_over_joints(runs):
+    plot = drawing(figures(runs)["effort_norm"], runs)
     (line,) = lines_of(panels(plot)[0], RUN_STYLES[0])
-    norm = np.linalg.norm([getattr(joint, name) for joint in runs[0].joints], axis=0)
+    norm = np.linalg.norm([joint.effort for joint in runs[0].joints], axis=0)
     assert line.get_ydata() == pytest.approx(norm)
-    assert plot.get_supylabel() == f"norm of the {name} over all joints [{unit}]"
+    assert plot.get_supylabel() == "norm of the effort over all joints [N m]"
     assert f"{l2_norm(runs[0].joints[0].time, norm):.4g}" in legend(plot)[0]
 
 
@@ -193,12 +177,11 @@ def test_a_jump_of_the_reference_tears_the_phase_portrait():
     reference = np.where(t < 2.0, 0.0, 1.0)
     position = np.where(t < 2.0, 0.0, 1.0 - np.exp(-5.0 * (t - 2.0)))
     series = JointSeries("a", stamps, position, reference, stamps, t)
-    for points, share in ((10_000, 1e-3), (100, 0.05)):
+    for points in (10_000, 100):
         curve = phase_curve(series, points)
         assert np.isnan(curve.rate).sum() == 1
         after = np.flatnonzero(np.isnan(curve.rate))[0] + 1
         assert np.allclose(curve.rate[after:], -5.0 * curve.error[after:], atol=0.2)
-        assert np.nanmax(np.abs(curve.rate)) == pytest.approx(5.0, rel=0.05 + share)
         assert curve.error[after - 1] == 0.0
     ramp = dataclasses.replace(series, reference=np.clip(t - 1.0, 0.0, 1.0))
     assert not np.isnan(phase_curve(ramp, 10_000).rate).any()
@@ -216,6 +199,7 @@ def test_the_rate_of_the_phase_portrait_is_not_drowned_by_encoder_counts():
 
 def test_gains_are_drawn_by_joint_with_the_norm_on_a_logarithmic_axis(runs, gains):
     found = figures(runs, gains=gains)
+    assert list(found) == [*NAMES, "norm", "multiplier", "trade_off"]
     assert panels(drawing(found["norm"], runs))[0].get_yscale() == "log"
     plot = drawing(found["multiplier"], runs)
     assert legend(plot) == ["hPID"]
@@ -308,7 +292,7 @@ def boxes_of(plot):
     return [each.get_window_extent().shrunk(0.9, 0.9) for each in texts if each.get_visible()]
 
 
-@pytest.mark.parametrize("joints", [1, 4, 13])
+@pytest.mark.parametrize("joints", [1, 7])
 def test_no_labels_overlap_whatever_the_number_of_joints(joints):
     labels = ["PID", "a controller with a long name", *(f"another one {k}" for k in range(4))]
     runs = [swing(label, joints=joints, count=201) for label in labels]
@@ -367,22 +351,12 @@ def test_runs_are_told_apart_by_lightness_and_by_line_too():
 # Files -----------------------------------------------------------------------------------------
 
 
-def test_every_figure_can_be_drawn_in_each_format(runs, gains):
-    found = figures(runs, gains=gains)
-    assert list(found) == [*NAMES, "norm", "multiplier", "trade_off"]
-    phase = drawing(found["phase"], runs)
-    with Image.open(io.BytesIO(render(phase, "png"))) as image:
-        assert round(image.info["dpi"][0]) == 150
-    assert render(phase, "pdf").startswith(b"%PDF")
-
-
-@pytest.mark.parametrize("form", ["png", "pdf", "svg"])
-def test_the_same_runs_give_the_same_bytes(runs, form):
-    first, second = (render(drawing(figures(runs)["efforts"], runs), form) for _ in range(2))
+@pytest.mark.parametrize(("form", "begin"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<")])
+def test_the_same_runs_give_the_same_bytes(runs, form, begin):
+    first, second = (render(drawing(figures(runs)["error_norm"], runs), form) for _ in range(2))
     assert first == second
-    assert b"CreationDate" not in first
-    assert b"<dc:date>" not in first
-    assert b"matplotlib.org" not in first.partition(b"<svg")[0]
+    assert first.startswith(begin)
+    assert not re.search(rb"CreationDate|<dc:date>", first)
 
 
 def test_drawing_leaves_matplotlib_as_it_was_and_pyplot_alone():

@@ -66,15 +66,6 @@ def test_c_answers_every_state_as_python_to_the_last_bit(library, seed):
     assert_equal_answers(*both(library, settings), states)
 
 
-def test_c_answers_ten_thousand_states_as_python_to_the_last_bit(library):
-    chance = random.Random(7)
-    states = states_by_chance(chance, 10_000, 0.001)
-    python, c = both(library, SETTINGS)
-    assert_equal_answers(python, c, states)
-    assert python.loop.counts.takeovers > 10
-    assert python.loop.counts.rejected > 10
-
-
 @pytest.mark.parametrize("norm", ["weighted", "canonical"])
 @pytest.mark.parametrize("degree", [-0.45, 0.49])
 def test_c_answers_the_smallest_errors_as_python(library, norm, degree):

@@ -8,10 +8,12 @@ from harness.loops import pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
+from hpid_ros.tuning.recorded_loops import controllers_of
 from hpid_ros.tuning.replay import (
     Instruction,
     JointRecord,
@@ -293,3 +295,39 @@ def test_a_relay_that_the_controller_refused_is_left_out_and_noted():
     verdict = recorder.replay()
     assert verdict.is_the_law
     assert verdict.notes == ("a relay was left out: no relay now: the reference moves",)
+
+
+PD = {"gains": {"p": 2.0, "d": 3.0}}
+
+
+def nodes_of(**joints):
+    return {node: {"ros__parameters": {"joint": joint, **PD}} for node, joint in joints.items()}
+
+
+def test_each_joint_has_the_controller_that_names_it():
+    found = controllers_of(nodes_of(a="elbow", b="wrist"), "file")
+    assert {joint: each.node for joint, each in found.items()} == {"elbow": "a", "wrist": "b"}
+
+
+def test_of_two_controllers_of_a_joint_none_is_taken_by_chance():
+    with pytest.raises(SettingError, match=r"two controllers of 'elbow': a and b; .*--pa"):
+        controllers_of(nodes_of(a="elbow", b="elbow"), "file")
+
+
+def test_another_robots_controller_of_the_same_name_does_not_count():
+    document = {
+        **nodes_of(**{"/left/arm": "elbow"}),
+        **nodes_of(**{"/right/arm": "elbow"}),
+    }
+    with pytest.raises(SettingError, match="/left/arm and /right/arm"):
+        controllers_of(document, "file")
+    assert controllers_of(document, "file", "/right").keys() == {"elbow"}
+
+
+def test_a_relay_is_allowed_only_where_the_parameters_say_so():
+    document = nodes_of(a="elbow", b="wrist")
+    document["a"]["ros__parameters"]["allow_relay"] = True
+    allowed = [each.allows_relay for each in controllers_of(document, "file").values()]
+    assert allowed == [True, False]
+    document["/**"] = {"ros__parameters": {"allow_relay": True}}
+    assert all(each.allows_relay for each in controllers_of(document, "file").values())

@@ -1,10 +1,14 @@
-"""A prediction is of the joints of which something was recorded."""
+"""What an upgrade's prediction follows is what was recorded, and of which joints it speaks."""
 
 import math
 
+import numpy as np
 import pytest
 
-from hpid_ros.tuning.upgrade_prediction import Expected, Prediction
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control import LoopSettings
+from hpid_ros.messages.series import JointSeries
+from hpid_ros.tuning.upgrade_prediction import Expected, Prediction, recorded_motion, simulate
 
 MOVING = {key: Expected(4.0, 0.5, 1.1, 0.2) for key in ("ivc", "iavc", "itae")}
 
@@ -34,3 +38,49 @@ def test_the_interval_of_all_joints_is_between_those_of_the_joints():
     assert total.low < total.ratio < total.high < 1.0
     assert total.is_certain
     assert not total._replace(doubt=1.0).is_certain
+
+
+PERIOD_NS = 2_000_000
+TIMES_NS = PERIOD_NS * np.arange(1500, dtype=np.int64)
+TIMES = TIMES_NS * 1e-9
+
+
+def followed(reference):
+    """Return positions and velocities of the reference at the samples, (2, N)."""
+    motion = recorded_motion("a", TIMES_NS, reference).start(0, float(reference[0]))
+    samples = [motion.sample(int(each)) for each in TIMES_NS]
+    return np.array([(each.position, each.velocity) for each in samples]).T
+
+
+def test_a_smooth_reference_has_its_own_velocity():
+    reference, rate = 0.4 * np.sin(3.0 * TIMES), 1.2 * np.cos(3.0 * TIMES)
+    position, velocity = followed(reference)
+    assert position == pytest.approx(reference, abs=1e-12)
+    assert velocity == pytest.approx(rate, abs=1e-4)  # one-sided at the ends
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3])
+def test_a_jump_has_no_velocity_beside_that_of_what_it_lies_in(slope):
+    reference = slope * TIMES + np.where(TIMES_NS >= 1_000_000_000, 0.5, 0.0)
+    reference += np.where(TIMES_NS >= 1_002_000_000, -0.2, 0.0)  # two, one after the other
+    position, velocity = followed(reference)
+    assert position == pytest.approx(reference, abs=1e-12)
+    beside = (TIMES_NS < 998_000_000) | (TIMES_NS > 1_002_000_000)
+    assert velocity[beside] == pytest.approx(slope, abs=1e-6)
+
+
+def test_a_ramp_that_begins_is_no_jump():
+    reference = np.where(TIMES > 1.0, 0.7 * (TIMES - 1.0), 0.0)
+    _, velocity = followed(reference)
+    assert velocity.max() == pytest.approx(0.7, rel=1e-6)
+    assert velocity.min() >= 0.0
+
+
+@pytest.mark.parametrize("later_ns", [1_500_000_000, 50 * 365 * 86_400 * 1_000_000_000])
+def test_a_recording_with_a_hole_is_no_motion_to_simulate(later_ns):
+    """Where a clock was set there may be years between two states: nobody simulates them."""
+    stamps = TIMES_NS + np.where(TIMES_NS > 1_000_000_000, later_ns, 0)
+    series = JointSeries("a", stamps, TIMES, TIMES, stamps, TIMES)
+    loops = {"PID": [LoopSettings.from_parameters({"joint": "a", "law": "pid"})]}
+    with pytest.raises(SettingError, match=r"'a' has no state for .* s from 1\.000 s on"):
+        simulate("no robot is needed", loops, [series])
