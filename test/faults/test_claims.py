@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness.graph import ros_arguments
-from harness.health import Told, change, state
+from harness.graph import Told, change, ros_arguments, state
 from harness.two_hosts import HostsError, network_environment, plug, pull, two_hosts
 from sensor_msgs.msg import JointState
 

@@ -5,8 +5,7 @@ from contextlib import suppress
 
 import numpy as np
 from harness.fuzzing import StateFuzzer
-from harness.graph import ros_arguments
-from harness.health import NAME, Told
+from harness.graph import NAME, Told, ros_arguments
 from harness.loops import pure_loop
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import (

@@ -8,8 +8,7 @@ import time
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness.graph import ros_arguments
-from harness.health import is_stopped
+from harness.graph import is_stopped, ros_arguments
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from harness.health import NAME, TRANSITIONS, change
+from harness.graph import NAME, TRANSITIONS, change
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 

@@ -9,8 +9,7 @@ import time
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness.graph import ros_arguments
-from harness.health import NAME, Told, call, change, state
+from harness.graph import NAME, Told, call, change, ros_arguments, state
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rosgraph_msgs.msg import Clock

@@ -5,8 +5,7 @@ import signal
 import time
 
 import pytest
-from harness.graph import ros_arguments
-from harness.health import is_stopped
+from harness.graph import is_stopped, ros_arguments
 
 from hpid_ros.messages.joint_state import JointStateTemplate
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness.health import Told
+from harness.graph import Told
 
 from hpid_ros.control import LoopSettings
 from hpid_ros.stability import certifier as certifiers

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness.fork_server import run_node
-from harness.graph import ros_arguments
-from harness.health import NAME, Told
+from harness.graph import NAME, Told, ros_arguments
 from harness.loops import loop_settings, pure_loop
 from rcl_interfaces.srv import DescribeParameters
 from sensor_msgs.msg import JointState

@@ -19,8 +19,7 @@ from harness.goals import (
     goal_of,
     needs_control_msgs,
 )
-from harness.graph import ros_arguments
-from harness.health import Told
+from harness.graph import Told, ros_arguments
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.nodes.core.middleware import LATCHED

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness.goals import needs_control_msgs
-from harness.graph import ros_arguments
-from harness.health import Told, change, is_stopped, state
+from harness.graph import Told, change, is_stopped, ros_arguments, state
 from harness.ros2_control import NAME, Ros2Control
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray

@@ -2,7 +2,6 @@
 
 import pytest
 from harness.graph import ros_arguments
-from harness.health import call
 from rcl_interfaces.srv import GetParameters
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -63,5 +62,6 @@ def test_a_driver_is_sent_the_newest_command_and_a_recorder_all_of_them(harness,
         "joint_controller",
         ros_arguments(joint="elbow", command_interface=interface, claim="none"),
     )
-    answer = call(harness, GetParameters, "get_parameters", GetParameters.Request(names=[name]))
+    request = GetParameters.Request(names=[name])
+    answer = harness.call(GetParameters, "elbow_controller/get_parameters", request)
     assert [value.integer_value for value in answer.values] == [depth]

@@ -5,8 +5,16 @@ from functools import partial
 
 import pytest
 import yaml
-from harness.bag_reader import BagReader
-from harness.bags import FLOATS, JOINT_STATE, MS, convert, floats, parameter_event, serialised
+from harness.bags import (
+    FLOATS,
+    JOINT_STATE,
+    MS,
+    BagReader,
+    convert,
+    floats,
+    parameter_event,
+    serialised,
+)
 from harness.experiments import write_experiment
 from harness.loops import loop_settings
 from harness.studies import compared

@@ -8,10 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness.bag_reader import BagReader
-from harness.bags import MS, command, convert, small_log, state, write_bag
+from harness.bags import (
+    KINDS,
+    MS,
+    BagReader,
+    command,
+    convert,
+    small_log,
+    state,
+    write_bag,
+    write_mcap,
+)
 from harness.examples import examples
-from harness.mcap_files import TYPES, write_mcap
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
@@ -150,7 +158,7 @@ def split(folder: Path, log, *options: dict) -> Path:
     counts = "".join(
         f"    - topic_metadata: {{name: /{name}}}\n"
         f"      message_count: {sum(each[0] == name for each in log)}\n"
-        for name in TYPES
+        for name in KINDS
     )
     (folder / "metadata.yaml").write_text(
         "rosbag2_bagfile_information:\n"

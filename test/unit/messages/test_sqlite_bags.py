@@ -6,8 +6,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from harness.bag_reader import BagReader
-from harness.bags import JOINT_STATE, MS, TYPES, command, convert, state, write_bag
+from harness.bags import JOINT_STATE, MS, TYPES, BagReader, command, convert, state, write_bag
 from mcap.reader import NonSeekingReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
