@@ -8,7 +8,6 @@ import time
 
 import numpy as np
 import pytest
-from harness.fork_server import run_node
 from harness.goals import (
     ABORTED,
     ACTION,
@@ -19,7 +18,7 @@ from harness.goals import (
     goal_of,
     needs_control_msgs,
 )
-from harness.graph import Told, ros_arguments
+from harness.graph import Told
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.nodes.core.middleware import LATCHED
@@ -324,23 +323,3 @@ def test_without_controllers_no_goal_is_followed(joints):
     joints.run(lambda: told.newest().get("message", "").endswith(line), what="the report")
     status, code, text = Client(joints).follow(there())
     assert (status, code, text) == (ABORTED, INVALID_GOAL, line)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "line"),
-    [
-        ({}, "each joint once"),
-        ({"joints": "[elbow]", "angle_wraparound": "[wrist]"}, "angle_wraparound: unknown joint"),
-        ({"joints": "[elbow]", "multi_turn": "[wrist]"}, "multi_turn: unknown joint"),
-        ({"joints": "[elbow]", "state_topics": "[a, b, a]"}, "each topic once"),
-        ({"joints": "[elbow]", "state_timeout": 100.0}, "state_timeout"),
-        ({"joints": "[elbow]", "robot_description": "none.urdf"}, "none.urdf"),
-        ({"joints": "[elbow]", "constraints__wrist__goal": 1.0}, "unknown parameter"),
-    ],
-)
-@pytest.mark.usefixtures("harness")  # for its domain
-def test_parameters_that_cannot_be_used_are_one_line(parameters, line):
-    ended = run_node("follow_joint_trajectory", ros_arguments(**parameters))
-    assert ended.returncode == 2
-    assert line in ended.stderr
-    assert len(ended.stderr.strip().splitlines()) == 1

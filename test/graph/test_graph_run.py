@@ -40,11 +40,15 @@ def compared(tmp_path_factory):
     # What an observer knows of the efforts is what was sent, noise and all.
     observer = {"degree": -0.2, "feed_disturbance": True}
     law = {"law": "hpid", "mu": -0.1, "velocity_source": "observer", "observer": observer}
-    file = write_experiment(folder, compare__observer=law, sensors__noise=2e-4)
+    unit_gains = {"p": 300.0, "i": 1000.0, "d": 30.0}  # three poles at -10 rad/s
+    model = {"compensation": "decoupling", "gains": unit_gains, "model": {"payload": 0.4}}
+    changes = {"compare__observer": law, "compare__model": {"law": "hpid", "mu": -0.1, **model}}
+    file = write_experiment(folder, sensors__noise=2e-4, **changes)
     return run_compare(load_experiment(file), folder / "result")
 
 
 def test_graph_and_in_process_engine_agree_to_the_last_bit(compared, tmp_path):
+    """Also where nine processes each compute the model that one shares between the joints."""
     experiment, here = compared.result.experiment, tmp_path / "here"
     in_process = run_compare(experiment, here, in_process=True)
     first, other = [
@@ -75,7 +79,7 @@ def test_result_folder_is_whole(compared):
 
 
 def test_another_reader_finds_every_state_and_its_eight_commands(compared):
-    assert [(each.processes, each.warnings) for each in compared.reports] == [(10, [])] * 3
+    assert [(each.processes, each.warnings) for each in compared.reports] == [(10, [])] * 4
     (mcap,) = compared.folder.bag("hPID").glob("*.mcap")
     states, commands = [], {}
     for message in read_ros2_messages(mcap):
