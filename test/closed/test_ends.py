@@ -16,7 +16,6 @@ from hpid_ros.experiment.processes import (
     SHARED_MEMORY,
     NodeGroup,
     closed_environment,
-    network_sockets,
     own_domain,
 )
 
@@ -118,9 +117,3 @@ def test_one_that_is_killed_leaves_its_ports(graph):
     process.kill()
     process.wait(WITHIN)
     assert len(graph.ports()) == 3
-
-
-def test_no_network_socket_is_opened(harness):
-    process = harness.start_controller(law="pid", gains__p=1.0)
-    harness.ask(0, 0.0)
-    assert network_sockets(process.pid) == set()

@@ -79,16 +79,19 @@ def test_a_damping_stop_ends_with_zero_whatever_asked_for_it(harness, labels):
     assert process.poll() == (0 if labels == ["SIGTERM"] else None)
 
 
-@pytest.mark.parametrize("labels", [["activate"], ["cleanup", "configure"]])
-def test_a_ramp_that_is_cut_short_ends_with_zero(harness, labels):
-    in_motion(harness, stop="damping", stop_duration=4.0, state_watchdog=False)
-    for label in ("deactivate", *labels):
-        assert change(harness, label)
-    harness.wait(lambda: is_left(harness), within=2.0, what="a command of zero")
+def test_a_ramp_that_is_cut_short_ends_with_zero(harness):
+    in_motion(harness, **DAMPING)
+    for labels in (["deactivate", "activate"], ["deactivate", "cleanup", "configure"]):
+        harness.ask_newcomer(2 * MS, 0.0)
+        assert harness.ask(3 * MS, -0.5) > 0.0
+        for label in labels:
+            assert change(harness, label)
+        harness.wait(lambda: is_left(harness), within=2.0, what="a command of zero")
+        harness.commands.clear()
 
 
 def test_a_damping_stop_without_states_does_not_go_on_with_the_last_effort(harness):
-    process, stream = in_motion(harness, stop="damping", stop_duration=4.0, state_timeout=1.0)
+    process, stream = in_motion(harness, **{**DAMPING, "state_watchdog": True}, state_timeout=1.0)
     process.send_signal(signal.SIGTERM)
     streamed(harness, stream, lambda: harness.commands[-1].effort[0] < 0.0, "the damping")
     harness.wait(lambda: is_left(harness), what="a command of zero")

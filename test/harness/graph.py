@@ -73,13 +73,13 @@ class Harness:
     def _on_command(self, raw):
         self.on_command(decode_joint_state(raw))
 
-    def heard_from_now(self, duration):
+    def heard_from_now(self, duration, topic="joint_commands", least=0):
         """Return the commands of a while from now on, without what waits for a test that slept."""
         heard = []
-        fresh = self.node.create_subscription(JointState, "joint_commands", heard.append, OFFERED)
-        self.wait(fresh.get_publisher_count, what="a publisher of commands")
+        fresh = self.node.create_subscription(JointState, topic, heard.append, OFFERED)
+        self.wait(fresh.get_publisher_count, what=f"a publisher of {topic}")
         end = time.monotonic() + duration
-        self.wait(lambda: time.monotonic() > end, what="the while to pass")
+        self.wait(lambda: time.monotonic() > end and len(heard) >= least, what="the while to pass")
         self.node.destroy_subscription(fresh)
         return heard
 
