@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import select
 import signal
 import subprocess
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness.graph import Told, change, ros_arguments, state
+from harness.studies import wait_until
 
 from hpid_ros.base.names import claim_topic
 from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
@@ -355,19 +355,12 @@ def start_on(group, name, **parameters):
     return group.start(name, "joint_controller", ros_arguments(**values))
 
 
-def until(condition, within=60.0, what="the condition"):
-    deadline = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
-        select.select([], [], [], 0.01)
-
-
 def test_two_hosts_agree_on_one_controller(hosts, faults):
     """At the same moment, one after the other, after kill -9, and when a network heals."""
     (here, there), prefixes = hosts
     for turn in range(2):
         group = [start_on(here, f"here_{turn}"), start_on(there, f"there_{turn}")]
-        until(
+        wait_until(
             lambda group=group: (
                 [p.process.poll() for p in group].count(None) == 1
                 and any("listening" in events(p) for p in group if p.process.poll() is None)
@@ -384,25 +377,25 @@ def test_two_hosts_agree_on_one_controller(hosts, faults):
 
     late = start_on(at_other, "late")
     # A busy machine may take longer to find the other host than a controller listens for.
-    until(lambda: "commanded by " in log_of(late), what="the late one to be refused")
+    wait_until(lambda: "commanded by " in log_of(late), what="the late one to be refused")
     assert f"commanded by /{winner.name} " in log_of(late)
     if "listening" in events(late):
         at_other.stop(["late"])
     else:
-        until(lambda: late.process.poll() == 1, what="the late one to end")
+        wait_until(lambda: late.process.poll() == 1, what="the late one to end")
 
     killed = time.monotonic()
     os.kill(winner.pid, signal.SIGKILL)
     again = start_on(at_winner, "again")
-    until(lambda: "listening" in events(again), what="a restart on the same host")
+    wait_until(lambda: "listening" in events(again), what="a restart on the same host")
     faults.count("ms from kill -9 to active again, same host", 1e3 * (time.monotonic() - killed))
 
     pull(prefixes)
     second = start_on(at_other, "second")
-    until(lambda: "listening" in events(second), what="the other half to go on alone")
+    wait_until(lambda: "listening" in events(second), what="the other half to go on alone")
     plug(prefixes)
     healed = time.monotonic()
-    until(
+    wait_until(
         lambda: any("deactivated: " in log_of(each) for each in (again, second)),
         within=40.0,
         what="the halves to agree",

@@ -32,18 +32,12 @@ PROGRAM = (
 
 
 class Motor:
-    """An ODrive with its motor, and the joint that it turns.
-
-    Args:
-        gear: Turns of the motor for one of the joint.
-        inertia: Of the joint [kg m^2].
-    """
+    """An ODrive with its motor, and the joint that it turns."""
 
     def __init__(self, gear, inertia):
-        self.gear, self.inertia = gear, inertia
-        self.position = self.velocity = self.torque = (
-            0.0  # of the joint, of the joint, of the motor
-        )
+        self.gear, self.inertia = gear, inertia  # turns for one of the joint; of the joint
+        self.position = self.velocity = 0.0  # of the joint
+        self.torque = 0.0  # of the motor
         self.state, self.mode = IDLE, None
 
     def obey(self, command, data):
@@ -55,9 +49,8 @@ class Motor:
             self.mode = struct.unpack("<ii", data)
 
     def move(self, dt):
-        driven = (
-            self.torque * self.gear if self.state == CLOSED_LOOP and self.mode == (1, 1) else 0.0
-        )
+        is_driven = self.state == CLOSED_LOOP and self.mode == (1, 1)
+        driven = self.torque * self.gear if is_driven else 0.0
         self.velocity += dt * (driven / self.inertia - self.velocity)
         self.position += dt * self.velocity
 

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from harness.experiments import write_experiment
-from harness.studies import wait_until
+from harness.studies import children_of, wait_until
 from mcap_ros2.reader import read_ros2_messages
 
 from hpid_ros.base.errors import RunError
@@ -193,13 +193,6 @@ def heed_interrupts():
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def processes_below(pid):
-    below = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
-    )
-    return [int(each) for each in below.stdout.split()]
-
-
 @pytest.mark.faults
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
@@ -216,7 +209,7 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
     try:
         mcap = folder / "bags" / "PID" / "PID.mcap"
         wait_until(lambda: mcap.exists() and mcap.stat().st_size > 200_000, 60.0)
-        nodes = processes_below(hpid.pid)
+        nodes = children_of(hpid.pid)
         assert len(nodes) == 11  # with the server that forked them
         hpid.send_signal(number)
         hpid.wait(timeout=60)

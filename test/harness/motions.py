@@ -91,12 +91,7 @@ def reference_column(joint, reference, period):
 def excited_run(settings, joint, reference, noise=0.0, disturbance=0.0):
     """Return the run of a loop on a sampled joint whose delay is less than a period.
 
-    Args:
-        settings: Of the loop.
-        joint: The :class:`SampledJoint`.
-        reference: At the samples, in [rad].
-        noise: Standard deviation of what is added to the measured position, in [rad].
-        disturbance: Of what is added to the effort, in [N m].
+    Noise of the measured position [rad] and disturbance of the effort [N m]: standard deviations.
     """
     loop, held, draw = JointLoop(settings), joint.held, np.random.default_rng(2)
     loop.follow(reference_column(settings.joint, reference, joint.period))
