@@ -71,7 +71,7 @@ def test_an_observers_estimate_is_published_and_a_lack_of_inertia_is_told(harnes
 
 VALUES = {"law": "hpid", "mu": -0.3, "norm__effort_scale": 3.0, "norm__floor": 0.1}
 VALUES |= {"gains__p": 100.0, "gains__i": 400.0, "gains__d": 14.0, "inertia": 0.5}
-CHANGES = [  # that they make no jump is the loop's: test_safety_loop.py
+CHANGES = [  # that they make no jump is the loop's: test_safety.py
     {"norm__effort_scale": 6.0, "mu": -0.1},
     {"gains__p": 120.0, "gains__d": 16.0},
     {"velocity_source": "observer"},

@@ -1,4 +1,4 @@
-"""Comparisons on the real graph: equal to the in-process engine, whole, closed, and robust."""
+"""Comparisons on the real graph: equal to the in-process engine, closed, robust; forked nodes."""
 
 import os
 import signal
@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from harness.experiments import write_experiment
+from harness.graph import ros_arguments
 from harness.studies import children_of, wait_until
 from mcap_ros2.reader import read_ros2_messages
 
@@ -18,12 +19,10 @@ from hpid_ros.base.errors import RunError
 from hpid_ros.experiment import graph_run
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.forking import Beginning, ForkServer
 from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph
 from hpid_ros.experiment.in_process import NoProgress
-from hpid_ros.experiment.processes import (
-    network_sockets,
-    require_no_sockets,
-)
+from hpid_ros.experiment.processes import NodeGroup, network_sockets, require_no_sockets
 from hpid_ros.messages.run import read_run
 
 
@@ -232,3 +231,49 @@ def test_the_self_check_sees_a_network_socket():
         assert "udp" in network_sockets(os.getpid())
         with pytest.raises(RunError, match=r"not closed: .*\(.*udp"):
             require_no_sockets([os.getpid()])
+
+
+# --- nodes that are forked from a server are like others
+
+GONE_WITHIN = 30.0
+
+
+@pytest.fixture
+def group(harness, tmp_path):
+    with NodeGroup(harness.environment, tmp_path, is_forked=True) as group:
+        yield group
+
+
+def test_a_forked_node_works_leads_a_session_and_ends_by_a_signal(harness, group):
+    arguments = ros_arguments(joint="elbow")
+    node = group.start("elbow_controller", "joint_controller", arguments)
+    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the controller")
+    assert os.getsid(node.pid) == node.pid
+    assert node.process.poll() is None
+    environment = Path(f"/proc/{node.pid}/stat").read_text()
+    assert environment.split()[3] == str(os.getpid())  # its parent
+    with pytest.raises(subprocess.TimeoutExpired):
+        node.process.wait(0.01)
+    node.process.terminate()
+    assert node.process.wait(GONE_WITHIN) == 0
+    assert node.process.poll() == 0
+    second = group.start("second", "joint_controller", arguments)
+    second.process.kill()
+    assert second.process.wait(GONE_WITHIN) == -signal.SIGKILL
+
+
+def test_what_a_forked_node_refuses_is_its_last_line_and_its_exit_code(group):
+    node = group.start("elbow_controller", "joint_controller", ros_arguments(joint="a", mu=1.0))
+    assert node.process.wait(GONE_WITHIN) == 2
+    assert "mu" in node.last_words()
+    missing = group.start("missing", "no_such_node", [])
+    assert missing.process.wait(GONE_WITHIN) == 1
+    assert "no_such_node" in missing.last_words()
+
+
+def test_without_its_server_no_node_is_started_and_one_line_says_so(group):
+    server = ForkServer(os.environ)
+    server._process.kill()
+    server._process.wait()
+    with pytest.raises(RunError, match="what forks nodes has ended"):
+        server.fork("hpid_ros.nodes.joint_controller", [], {}, Beginning(signal.SIGTERM), {})
