@@ -16,7 +16,6 @@ from harness.studies import wait_until
 
 from hpid_ros.base.names import claim_topic
 from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
-from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.nodes.core.middleware import LATCHED
 from hpid_ros.nodes.parts.claims import LEASE, Claim, ClaimState, to_message
 
@@ -221,8 +220,7 @@ def test_a_holder_yields_to_an_older_one_and_not_to_a_younger_or_a_wish(harness,
     assert state(harness) == "inactive"
     assert controller.process.poll() is None
     assert "/far (process 7 on host farhost)" in log_of(controller)
-    template = JointStateTemplate(["elbow"], position=True, velocity=True)
-    harness.states.publish(template.encode(3 * MS, position=[0.0], velocity=[0.0]))
+    harness.publish(3 * MS, 0.0)
     far.heard.clear()
     assert state(harness) == "inactive"
     assert len(harness.commands) == count + 1

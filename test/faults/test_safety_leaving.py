@@ -10,8 +10,6 @@ from harness.graph import NAME, TRANSITIONS, change
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 
-from hpid_ros.messages.joint_state import JointStateTemplate
-
 pytestmark = pytest.mark.alone
 
 MS = 1_000_000
@@ -19,26 +17,17 @@ GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
 DAMPING = {"stop": "damping", "stop_duration": 4.0, "state_watchdog": False}
 
 
-class Stream:
-    """States of a joint that moves at 1 rad/s away from where it is wanted, one each call."""
-
-    def __init__(self, harness):
-        self._harness = harness
-        self._stamps = itertools.count(2)
-        self._template = JointStateTemplate(["elbow"], position=True, velocity=True)
-        self.stamp_ns = 0
-
-    def __call__(self):
-        self.stamp_ns = next(self._stamps) * 10 * MS
-        raw = self._template.encode(self.stamp_ns, position=[-0.5], velocity=[1.0])
-        self._harness.states.publish(raw)
+def streaming(harness):
+    """Return what tells one more state of a joint that moves away from where it is wanted."""
+    stamps = itertools.count(20 * MS, 10 * MS)
+    return lambda: harness.publish(next(stamps), -0.5, 1.0)
 
 
 def in_motion(harness, **options):
     process = harness.start_controller(**options, **GAINS).process
     harness.ask(0, 0.0)
     assert harness.ask(MS, -0.5) > 0.0
-    return process, Stream(harness)
+    return process, streaming(harness)
 
 
 def efforts_since(harness, count):

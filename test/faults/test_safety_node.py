@@ -19,17 +19,11 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.nodes.core.middleware import RARE
 
 MS = 1_000_000
 GAINS = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
 CLOCK = {"state_clock": "simulated", "state_watchdog": False}
-
-
-def publish(harness, stamp_ns, position):
-    template = JointStateTemplate(["elbow"], position=True)
-    harness.states.publish(template.encode(stamp_ns, position=[position]))
 
 
 def listens(harness):
@@ -56,7 +50,7 @@ def test_activation_holds_the_joint_where_it_is_whatever_was_before(harness):
 
     harness.wait(refuses, what="the refusal to be told")  # nor will it move the joint later
     assert told.says(lifecycle="inactive")
-    publish(harness, 40 * MS, -1.0)
+    harness.publish(40 * MS, -1.0)
     assert change(harness, "activate")
     harness.wait(lambda: listens(harness), what="it to listen again")
     assert len(harness.commands) == answered  # it was silent
@@ -179,14 +173,14 @@ def test_a_driver_that_repeats_its_last_state_is_silent(harness, faults):
     assert effort > 3.0 or effort in (1.5, 0.0)  # where the machine stood still for the timeout
 
     def silent():
-        publish(harness, MS, -0.5)
+        harness.publish(MS, -0.5)
         return told.says(message="no new state within state_timeout")
 
     harness.wait(silent, within=5.0, what="the silence to be told")
     assert told.newest()["level"] == DiagnosticStatus.ERROR
 
     def is_fallback_alone():
-        publish(harness, MS, -0.5)
+        harness.publish(MS, -0.5)
         return {each.effort[0] for each in harness.commands[-20:]} == {1.5}
 
     harness.wait(is_fallback_alone, what="the fallback effort and no other")
@@ -303,7 +297,7 @@ def test_a_node_does_not_wait_for_a_parent_that_does_not_read(harness, tmp_path,
     def is_full():
         """Publish a state, and tell whether events have stopped coming for as long as twenty."""
         nonlocal told, held, since
-        publish(harness, told * MS, 0.0)
+        harness.publish(told * MS, 0.0)
         told += 1
         before, held = (
             held,

@@ -10,7 +10,6 @@ import time
 from contextlib import contextmanager, suppress
 
 import pytest
-from harness.graph import ros_arguments
 from harness.places import ROOT
 from std_msgs.msg import Float64
 
@@ -128,23 +127,10 @@ def driver(bus, environment):
             process.kill()
 
 
-def start_controller(harness, joint):
-    inertia = INERTIAS[joint]
-    arguments = ros_arguments(
-        joint=joint,
-        law="pid",
-        gains__p=25.0 * inertia,
-        gains__d=9.0 * inertia,
-        state_timeout=1.0,
-        certify=False,
-    )
-    return harness.processes.start(f"{joint}_controller", "joint_controller", arguments)
-
-
 def test_controllers_drive_motors_on_a_bus(harness, bus):
     """Joints come to their targets; without a controller, and at the end, they have no torque."""
     with driver(bus, harness.environment) as process:
-        controllers = {joint: start_controller(harness, joint) for joint in JOINTS}
+        controllers = {joint: harness.start_damped(joint, INERTIAS[joint]) for joint in JOINTS}
         setpoints = {
             joint: harness.node.create_publisher(Float64, f"{joint}_controller/setpoint", RARE)
             for joint in JOINTS

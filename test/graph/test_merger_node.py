@@ -118,22 +118,6 @@ def listening(harness, kind, topic):
 # --- with controllers and a robot ---------------------------------------------------------
 
 
-def start_controller(harness, joint):
-    inertia = INERTIAS[joint]
-    return harness.processes.start(
-        f"{joint}_controller",
-        "joint_controller",
-        ros_arguments(
-            joint=joint,
-            law="pid",
-            gains__p=25.0 * inertia,
-            gains__d=9.0 * inertia,
-            state_timeout=1.0,
-            certify=False,
-        ),
-    )
-
-
 def drive(harness, control, joints, setpoints):
     """Send joints to where they are wanted, until all are there.
 
@@ -168,7 +152,7 @@ def test_controllers_drive_a_group_and_one_of_them_is_killed_or_stopped_and_come
     control.load(ORDER)
     fallback = {"fallback_efforts.elbow": 0.25, "command_timeouts.elbow": 0.3}
     start_merger(harness, **fallback)
-    processes = {joint: start_controller(harness, joint) for joint in ORDER}
+    processes = {joint: harness.start_damped(joint, INERTIAS[joint]) for joint in ORDER}
     setpoints = {}
     harness.wait(lambda: control.controller.received, WITHIN, "the first command")
     drive(harness, control, ORDER, setpoints)
@@ -187,7 +171,7 @@ def test_controllers_drive_a_group_and_one_of_them_is_killed_or_stopped_and_come
     )
     processes["elbow"].process.wait()
     del harness.processes.nodes["elbow_controller"]
-    processes["elbow"] = start_controller(harness, "elbow")
+    processes["elbow"] = harness.start_damped("elbow", INERTIAS["elbow"])
     harness.wait(lambda: not says(told, "silent"), WITHIN, "it to come back")
     drive(harness, control, ["elbow"], setpoints)
     processes["elbow"].process.send_signal(signal.SIGSTOP)

@@ -113,6 +113,12 @@ class Harness:
         self.wait(lambda: self.states.get_subscription_count() > 0, what=f"{name} to listen")
         return process
 
+    def start_damped(self, joint, inertia):
+        """Start a controller of a joint of an inertia; the poles of all are the same."""
+        gains = {"law": "pid", "gains__p": 25.0 * inertia, "gains__d": 9.0 * inertia}
+        arguments = ros_arguments(joint=joint, state_timeout=1.0, certify=False, **gains)
+        return self.processes.start(f"{joint}_controller", "joint_controller", arguments)
+
     def ask(self, stamp_ns, position, velocity=0.0, joint="elbow"):
         """Publish one state, again where it was lost, and return the effort that answers it."""
         published_at = -math.inf
