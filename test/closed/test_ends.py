@@ -6,17 +6,16 @@ take it for a listener that is stuck, and open anew all that they listened to (d
 
 import re
 import signal
-import time
 from itertools import count
 
 import pytest
+from harness.studies import wait_until
 
 from hpid_ros.base.files import share_folder
 from hpid_ros.experiment.processes import (
     SHARED_MEMORY,
     NodeGroup,
     closed_environment,
-    network_sockets,
     own_domain,
 )
 
@@ -74,13 +73,6 @@ def graph(tmp_path):
         yield Graph(domain, nodes)
 
 
-def wait(condition, what):
-    deadline = time.monotonic() + WITHIN
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {WITHIN} s in vain for {what}"
-        time.sleep(0.02)
-
-
 @pytest.mark.parametrize(
     ("node", "ending"),
     [
@@ -91,7 +83,9 @@ def wait(condition, what):
 )
 def test_a_node_that_is_ended_leaves_no_port(graph, node, ending):
     process = graph.start(*node).process
-    wait(lambda: len(graph.ports()) == 3, "its ports, two of its own and the common one")
+    wait_until(
+        lambda: len(graph.ports()) == 3, WITHIN, "its ports, two of its own and the common one"
+    )
     process.send_signal(signal.Signals[ending])
     process.wait(WITHIN)
     assert graph.ports() == set()
@@ -105,7 +99,9 @@ def test_a_node_that_is_refused_leaves_no_port(graph, node):
 
 def test_a_rival_leaves_no_port(graph):
     first = graph.start(*CONTROLLER)
-    wait(lambda: "listening" in [each["event"] for each in first.read_events()], "the first")
+    wait_until(
+        lambda: "listening" in [each["event"] for each in first.read_events()], WITHIN, "the first"
+    )
     before = graph.ports()
     assert graph.start(*CONTROLLER).process.wait(WITHIN) == 1
     assert graph.ports() == before
@@ -114,13 +110,7 @@ def test_a_rival_leaves_no_port(graph):
 def test_one_that_is_killed_leaves_its_ports(graph):
     """Without this the others would prove nothing."""
     process = graph.start(*CONTROLLER).process
-    wait(lambda: len(graph.ports()) == 3, "its ports")
+    wait_until(lambda: len(graph.ports()) == 3, WITHIN, "its ports")
     process.kill()
     process.wait(WITHIN)
     assert len(graph.ports()) == 3
-
-
-def test_no_network_socket_is_opened(harness):
-    process = harness.start_controller(law="pid", gains__p=1.0)
-    harness.ask(0, 0.0)
-    assert network_sockets(process.pid) == set()

@@ -2,23 +2,21 @@
 
 import itertools
 import os
-import select
 import signal
+import subprocess
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness.graph import ros_arguments
-from harness.health import Told, change, state
-from harness.two_hosts import HostsError, network_environment, plug, pull, two_hosts
-from sensor_msgs.msg import JointState
+from diagnostic_msgs.msg import DiagnosticStatus
+from harness.graph import Told, change, ros_arguments, state
+from harness.studies import wait_until
 
 from hpid_ros.base.names import claim_topic
 from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
-from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
-from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
+from hpid_ros.nodes.core.middleware import LATCHED
 from hpid_ros.nodes.parts.claims import LEASE, Claim, ClaimState, to_message
 
 pytestmark = pytest.mark.alone
@@ -222,8 +220,7 @@ def test_a_holder_yields_to_an_older_one_and_not_to_a_younger_or_a_wish(harness,
     assert state(harness) == "inactive"
     assert controller.process.poll() is None
     assert "/far (process 7 on host farhost)" in log_of(controller)
-    template = JointStateTemplate(["elbow"], position=True, velocity=True)
-    harness.states.publish(template.encode(3 * MS, position=[0.0], velocity=[0.0]))
+    harness.publish(3 * MS, 0.0)
     far.heard.clear()
     assert state(harness) == "inactive"
     assert len(harness.commands) == count + 1
@@ -255,64 +252,83 @@ def test_who_was_frozen_for_a_lease_comes_back_as_a_newcomer(harness, faults):
     assert state(harness) == "inactive"
 
 
-# --- the robot's side ---------------------------------------------------------------------
+# --- two hosts, network namespaces, joined by a cable that is a pair of devices -------------
+
+_HOLD = ("unshare", "--net", "--mount", "--ipc", "--", "sh", "-c")
+_DEVICES = ("cable", "plug")
+_SETUP = "mount -t tmpfs none /dev/shm && ip link set lo up && echo up && cat"
 
 
-def test_a_robot_follows_one_of_two_that_claim_nothing_and_names_both(harness, faults):
-    """Even where both have one name, as when a launch file is started twice."""
-    reports, efforts = [], []
-    harness.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
-    harness.node.create_subscription(
-        JointState,
-        "joint_states",
-        lambda raw: efforts.append(decode_joint_state(raw).effort[0]),
-        OFFERED,
-        raw=True,
-    )
-    bridge = {
-        "mode": "realtime",
-        "joints": "[arm_joint_6]",
-        "control_rate": 100.0,
-        "fixed_base": True,
-        "command_timeout": 5.0,  # a busy machine is no reason to change
-        "wait_for_subscribers": 2,
+class HostsError(Exception):
+    """This system permits no such hosts."""
+
+
+@contextmanager
+def two_hosts():
+    """Yield for each host the command in front of what runs there, or raise HostsError."""
+    holders = []
+    try:
+        for _ in range(2):
+            try:
+                holder = subprocess.Popen(
+                    [*_HOLD, _SETUP],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL,
+                )
+            except FileNotFoundError as error:
+                raise HostsError(str(error)) from error
+            holders.append(holder)
+            if not holder.stdout.readline():
+                raise HostsError("no network namespaces")
+        first, second = (holder.pid for holder in holders)
+        first_device, second_device = _DEVICES
+        inside = [_inside(first), _inside(second)]
+        _run(
+            *inside[0], *f"ip link add {first_device} type veth peer name {second_device}".split()
+        )
+        _run(*inside[0], "ip", "link", "set", second_device, "netns", str(second))
+        for prefix, device, address in zip(inside, _DEVICES, (1, 2), strict=True):
+            _run(*prefix, "ip", "address", "add", f"10.99.0.{address}/24", "dev", device)
+            _run(*prefix, "ip", "link", "set", device, "up", "multicast", "on")
+            _run(*prefix, "ip", "route", "add", "224.0.0.0/4", "dev", device)
+        yield inside
+    finally:
+        for holder in holders:
+            holder.communicate()
+
+
+def pull(prefixes):
+    """Let nothing through any more; the devices do not notice, as behind a switch."""
+    for prefix, device in zip(prefixes, _DEVICES, strict=True):
+        _run(*prefix, "tc", "qdisc", "replace", "dev", device, "root", "blackhole")
+
+
+def plug(prefixes):
+    """Let everything through again."""
+    for prefix, device in zip(prefixes, _DEVICES, strict=True):
+        _run(*prefix, "tc", "qdisc", "delete", "dev", device, "root")
+
+
+def network_environment(environment):
+    """Return the environment of nodes that talk through the network alone."""
+    return {
+        **environment,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
     }
-    harness.processes.start("mujoco_bridge", "mujoco_bridge", ros_arguments(**bridge))
-    limits = {"u_clamp_max": 1.0, "u_clamp_min": 0.5}
-    start(harness, "twin", joint="arm_joint_6", claim="none", **limits)
-    harness.wait(lambda: len(efforts) > 20, what="the first at work")
-    second = harness.processes.start(
-        "second",
-        "joint_controller",
-        [
-            *ros_arguments(joint="arm_joint_6", claim="none", u_clamp_max=-0.5, **GAINS),
-            *("-r", "__node:=twin"),
-        ],
-        is_renamed=False,
-    )
-
-    def told():
-        return [
-            status
-            for report in reports
-            for status in report.status
-            if status.name == "/mujoco_bridge" and "commanded twice" in status.message
-        ]
-
-    harness.wait(told, what="the bridge to tell")
-    assert second.process.poll() is None
-    assert told()[-1].level == DiagnosticStatus.ERROR
-    assert told()[-1].message == (
-        "commanded twice: arm_joint_6 by /twin and /twin, following /twin"
-    )
-    values = {each.key: each.value for each in told()[-1].values}
-    assert int(values["commands of second senders, not obeyed"]) > 0
-    assert values["changes of sender"] == "0"
-    assert min(efforts[20:]) >= 0.0  # what is obeyed is the first one's; the second has -0.5
-    faults.count("second senders not obeyed")
 
 
-# --- two hosts, with a network between them ------------------------------------------------
+def _inside(pid):
+    return ("nsenter", f"--target={pid}", "--net", "--mount", f"--wd={Path.cwd()}", "--")
+
+
+def _run(*command):
+    path = f"{os.environ['PATH']}:/usr/sbin:/sbin"  # where tc is, whatever a user's path says
+    environment = {**os.environ, "PATH": path}
+    run = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    if run.returncode != 0:
+        raise HostsError(f"{' '.join(command)}: {run.stderr.strip()}")
 
 
 @pytest.fixture
@@ -337,19 +353,12 @@ def start_on(group, name, **parameters):
     return group.start(name, "joint_controller", ros_arguments(**values))
 
 
-def until(condition, within=60.0, what="the condition"):
-    deadline = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
-        select.select([], [], [], 0.01)
-
-
 def test_two_hosts_agree_on_one_controller(hosts, faults):
     """At the same moment, one after the other, after kill -9, and when a network heals."""
     (here, there), prefixes = hosts
     for turn in range(2):
         group = [start_on(here, f"here_{turn}"), start_on(there, f"there_{turn}")]
-        until(
+        wait_until(
             lambda group=group: (
                 [p.process.poll() for p in group].count(None) == 1
                 and any("listening" in events(p) for p in group if p.process.poll() is None)
@@ -366,25 +375,25 @@ def test_two_hosts_agree_on_one_controller(hosts, faults):
 
     late = start_on(at_other, "late")
     # A busy machine may take longer to find the other host than a controller listens for.
-    until(lambda: "commanded by " in log_of(late), what="the late one to be refused")
+    wait_until(lambda: "commanded by " in log_of(late), what="the late one to be refused")
     assert f"commanded by /{winner.name} " in log_of(late)
     if "listening" in events(late):
         at_other.stop(["late"])
     else:
-        until(lambda: late.process.poll() == 1, what="the late one to end")
+        wait_until(lambda: late.process.poll() == 1, what="the late one to end")
 
     killed = time.monotonic()
     os.kill(winner.pid, signal.SIGKILL)
     again = start_on(at_winner, "again")
-    until(lambda: "listening" in events(again), what="a restart on the same host")
+    wait_until(lambda: "listening" in events(again), what="a restart on the same host")
     faults.count("ms from kill -9 to active again, same host", 1e3 * (time.monotonic() - killed))
 
     pull(prefixes)
     second = start_on(at_other, "second")
-    until(lambda: "listening" in events(second), what="the other half to go on alone")
+    wait_until(lambda: "listening" in events(second), what="the other half to go on alone")
     plug(prefixes)
     healed = time.monotonic()
-    until(
+    wait_until(
         lambda: any("deactivated: " in log_of(each) for each in (again, second)),
         within=40.0,
         what="the halves to agree",

@@ -5,19 +5,15 @@ from contextlib import suppress
 
 import numpy as np
 from harness.fuzzing import StateFuzzer
-from harness.graph import ros_arguments
-from harness.health import NAME, Told
+from harness.graph import NAME, Told, ros_arguments
 from harness.loops import pure_loop
 from rcl_interfaces.msg import Parameter, ParameterValue
-from rcl_interfaces.srv import (
-    SetParametersAtomically,
-)
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.qos import qos_profile_parameters
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.assembly import make_law
-from hpid_ros.messages.joint_state import JointStateTemplate
 
 MS = 1_000_000
 MESSAGES, SETS = 10_000, 10_000
@@ -115,7 +111,6 @@ class Retuned:
         )
         harness.processes.start(NAME, "joint_controller", options)
         self._harness = harness
-        self._template = JointStateTemplate(["elbow"], position=True, velocity=True)
         self._stamp_ns = 0
         harness.wait(lambda: harness.states.get_subscription_count() > 0, what="the controller")
         harness.ask(0, self.ERROR)  # it holds here
@@ -124,9 +119,7 @@ class Retuned:
     def publish(self):
         """Publish the next state: away from where it holds, at rest."""
         self._stamp_ns += MS
-        self._harness.states.publish(
-            self._template.encode(self._stamp_ns, position=[0.0], velocity=[0.0])
-        )
+        self._harness.publish(self._stamp_ns, 0.0)
 
     def effort(self):
         """Return the effort of the parameters that are in force."""

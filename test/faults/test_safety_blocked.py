@@ -8,13 +8,11 @@ import time
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness.graph import ros_arguments
-from harness.health import is_stopped
+from harness.graph import is_stopped, ros_arguments
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.names import claim_topic
-from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
 from hpid_ros.nodes.parts.claims import LEASE
 
@@ -48,7 +46,6 @@ class Robot:
 
     def __init__(self, harness):
         self._harness = harness
-        self._template = JointStateTemplate(["elbow"], position=True, velocity=True)
         self._stamp_ns = MS
         self._seen = 0
         self.answered_at = self.fell_back_at = self.left_at = 0.0
@@ -58,8 +55,7 @@ class Robot:
     def tell(self):
         """Tell one state."""
         self._stamp_ns += MS
-        raw = self._template.encode(self._stamp_ns, position=[-0.5], velocity=[0.0])
-        self._harness.states.publish(raw)
+        self._harness.publish(self._stamp_ns, -0.5)
 
     def hear(self):
         """Note when the last commands came: answers, fallbacks and zeros."""

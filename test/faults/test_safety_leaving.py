@@ -6,11 +6,9 @@ import subprocess
 import sys
 
 import pytest
-from harness.health import NAME, TRANSITIONS, change
+from harness.graph import NAME, TRANSITIONS, change
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-
-from hpid_ros.messages.joint_state import JointStateTemplate
 
 pytestmark = pytest.mark.alone
 
@@ -19,26 +17,17 @@ GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
 DAMPING = {"stop": "damping", "stop_duration": 4.0, "state_watchdog": False}
 
 
-class Stream:
-    """States of a joint that moves at 1 rad/s away from where it is wanted, one each call."""
-
-    def __init__(self, harness):
-        self._harness = harness
-        self._stamps = itertools.count(2)
-        self._template = JointStateTemplate(["elbow"], position=True, velocity=True)
-        self.stamp_ns = 0
-
-    def __call__(self):
-        self.stamp_ns = next(self._stamps) * 10 * MS
-        raw = self._template.encode(self.stamp_ns, position=[-0.5], velocity=[1.0])
-        self._harness.states.publish(raw)
+def streaming(harness):
+    """Return what tells one more state of a joint that moves away from where it is wanted."""
+    stamps = itertools.count(20 * MS, 10 * MS)
+    return lambda: harness.publish(next(stamps), -0.5, 1.0)
 
 
 def in_motion(harness, **options):
     process = harness.start_controller(**options, **GAINS).process
     harness.ask(0, 0.0)
     assert harness.ask(MS, -0.5) > 0.0
-    return process, Stream(harness)
+    return process, streaming(harness)
 
 
 def efforts_since(harness, count):
@@ -79,16 +68,19 @@ def test_a_damping_stop_ends_with_zero_whatever_asked_for_it(harness, labels):
     assert process.poll() == (0 if labels == ["SIGTERM"] else None)
 
 
-@pytest.mark.parametrize("labels", [["activate"], ["cleanup", "configure"]])
-def test_a_ramp_that_is_cut_short_ends_with_zero(harness, labels):
-    in_motion(harness, stop="damping", stop_duration=4.0, state_watchdog=False)
-    for label in ("deactivate", *labels):
-        assert change(harness, label)
-    harness.wait(lambda: is_left(harness), within=2.0, what="a command of zero")
+def test_a_ramp_that_is_cut_short_ends_with_zero(harness):
+    in_motion(harness, **DAMPING)
+    for labels in (["deactivate", "activate"], ["deactivate", "cleanup", "configure"]):
+        harness.ask_newcomer(2 * MS, 0.0)
+        assert harness.ask(3 * MS, -0.5) > 0.0
+        for label in labels:
+            assert change(harness, label)
+        harness.wait(lambda: is_left(harness), within=2.0, what="a command of zero")
+        harness.commands.clear()
 
 
 def test_a_damping_stop_without_states_does_not_go_on_with_the_last_effort(harness):
-    process, stream = in_motion(harness, stop="damping", stop_duration=4.0, state_timeout=1.0)
+    process, stream = in_motion(harness, **{**DAMPING, "state_watchdog": True}, state_timeout=1.0)
     process.send_signal(signal.SIGTERM)
     streamed(harness, stream, lambda: harness.commands[-1].effort[0] < 0.0, "the damping")
     harness.wait(lambda: is_left(harness), what="a command of zero")

@@ -1,33 +1,29 @@
 """A controller in a process of its own: how it begins, is left without states, and ends."""
 
+import fcntl
 import re
 import signal
+import struct
 import subprocess
 import sys
 import time
+from termios import FIONREAD
 
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness.graph import ros_arguments
-from harness.health import NAME, Told, call, change, state
+from harness.graph import NAME, Told, change, ros_arguments, state
 from rcl_interfaces.msg import Parameter, ParameterValue
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rcl_interfaces.srv import ListParameters, SetParameters, SetParametersAtomically
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.nodes.core.middleware import RARE
 
 MS = 1_000_000
 GAINS = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
 CLOCK = {"state_clock": "simulated", "state_watchdog": False}
-
-
-def publish(harness, stamp_ns, position):
-    template = JointStateTemplate(["elbow"], position=True)
-    harness.states.publish(template.encode(stamp_ns, position=[position]))
 
 
 def listens(harness):
@@ -54,7 +50,7 @@ def test_activation_holds_the_joint_where_it_is_whatever_was_before(harness):
 
     harness.wait(refuses, what="the refusal to be told")  # nor will it move the joint later
     assert told.says(lifecycle="inactive")
-    publish(harness, 40 * MS, -1.0)
+    harness.publish(40 * MS, -1.0)
     assert change(harness, "activate")
     harness.wait(lambda: listens(harness), what="it to listen again")
     assert len(harness.commands) == answered  # it was silent
@@ -177,36 +173,18 @@ def test_a_driver_that_repeats_its_last_state_is_silent(harness, faults):
     assert effort > 3.0 or effort in (1.5, 0.0)  # where the machine stood still for the timeout
 
     def silent():
-        publish(harness, MS, -0.5)
+        harness.publish(MS, -0.5)
         return told.says(message="no new state within state_timeout")
 
     harness.wait(silent, within=5.0, what="the silence to be told")
     assert told.newest()["level"] == DiagnosticStatus.ERROR
 
     def is_fallback_alone():
-        publish(harness, MS, -0.5)
+        harness.publish(MS, -0.5)
         return {each.effort[0] for each in harness.commands[-20:]} == {1.5}
 
     harness.wait(is_fallback_alone, what="the fallback effort and no other")
     faults.count("silences of the states")
-
-
-def test_a_controller_that_was_stopped_starts_from_where_the_joint_is(harness, faults):
-    """SIGSTOP and SIGCONT with a driver that goes on: nobody looked, the stamps tell."""
-    options = {"state_clock": "wall", "state_watchdog": True}
-    process = harness.start_controller(law="pid", **options, **GAINS).process
-    harness.ask(0, 0.0)
-    before = harness.ask(MS, -0.5)
-    process.send_signal(signal.SIGSTOP)
-    try:
-        deadline = time.monotonic() + 0.3
-        harness.wait(lambda: time.monotonic() > deadline, what="the freeze")
-    finally:
-        process.send_signal(signal.SIGCONT)
-    effort = harness.ask(1500 * MS, -3.0)
-    assert effort in (pytest.approx(before), 0.0)  # of the loop, or of the watchdog: no jump
-    assert harness.ask(1501 * MS, -3.0) in (pytest.approx(effort, abs=0.1), 0.0)
-    faults.count("controllers frozen")
 
 
 @pytest.mark.parametrize("stop", [signal.SIGSTOP, signal.SIGTSTP])
@@ -253,40 +231,33 @@ def test_states_that_waited_while_it_was_stopped_do_not_move_the_effort(harness,
     faults.count("controllers frozen")
 
 
-def test_a_time_that_is_none_ends_nothing(harness, faults):
+def test_nothing_impossible_that_comes_ends_the_node(harness, faults):
+    """Times of a clock, requests, and bytes that are no reference, which are counted."""
     process = harness.start_controller(law="pid", use_sim_time=True, **GAINS).process
+    told = Told(harness)
     clock = harness.node.create_publisher(Clock, "/clock", RARE)
-    harness.wait(lambda: clock.get_subscription_count() > 0, what="its subscription of the clock")
+    harness.wait(clock.get_subscription_count, what="its subscription of the clock")
     harness.ask(0, 0.0)
     for k in range(1, 20):
         clock.publish(Clock(clock=Time(sec=-k)))
         assert harness.ask(k * MS, -0.5) > 3.0
-    assert process.poll() is None
     faults.count("impossible times of a clock", 19)
 
-
-def test_no_request_ends_the_node(harness, faults):
-    process = harness.start_controller(law="pid", **GAINS).process
     odd = [Parameter(name="gains.p", value=ParameterValue(type=kind)) for kind in (99, 0, 6, 1)]
-    odd.append(Parameter(name="", value=ParameterValue(type=3, double_value=1.0)))
-    odd.append(Parameter(name="no.such", value=ParameterValue(type=3, double_value=1.0)))
+    odd += [
+        Parameter(name=name, value=ParameterValue(type=3, double_value=1.0))
+        for name in ("", "no.such")
+    ]
     for each in odd:
         request = SetParameters.Request(parameters=[each])
-        results = call(harness, SetParameters, "set_parameters", request).results
-        assert [(result.successful, bool(result.reason)) for result in results] == [(False, True)]
+        (found,) = harness.call(SetParameters, f"{NAME}/set_parameters", request).results
         request = SetParametersAtomically.Request(parameters=[each])
-        answer = call(harness, SetParametersAtomically, "set_parameters_atomically", request)
-        assert not answer.result.successful
-        assert answer.result.reason
-    harness.ask(0, 0.0)
-    assert harness.ask(MS, -0.5) == pytest.approx(5.0)
-    assert process.poll() is None
+        name = f"{NAME}/set_parameters_atomically"
+        whole = harness.call(SetParametersAtomically, name, request).result
+        for result in (found, whole):
+            assert (result.successful, bool(result.reason)) == (False, True)
     faults.count("impossible parameter requests", 2 * len(odd))
 
-
-def test_bytes_that_are_no_reference_are_refused_and_reported(harness, faults):
-    process = harness.start_controller(law="pid", **GAINS).process
-    told = Told(harness)
     head = b"\x00\x01\x00\x00"
     garbage = [b"", b"\x00", b"\xff" * 12, head, head + b"\xee" * 5, head + b"\xff" * 8]
     refused = 0
@@ -302,7 +273,57 @@ def test_bytes_that_are_no_reference_are_refused_and_reported(harness, faults):
 
         harness.wait(refuses, what="refusals")
         harness.node.destroy_publisher(publisher)
-    harness.ask(0, 0.0)
+    faults.count("references of random bytes", refused)
+    harness.ask(0, 0.0)  # a clock that goes back starts the loop again
     assert harness.ask(MS, -0.5) == pytest.approx(5.0)
     assert process.poll() is None
-    faults.count("references of random bytes", refused)
+
+
+F_SETPIPE_SZ = 1031
+SMALLEST = 4096  # [byte], of a pipe
+
+
+def test_a_node_does_not_wait_for_a_parent_that_does_not_read(harness, tmp_path, faults):
+    """It goes on, and tells its events in the end."""
+    recorder = harness.processes.start(
+        "recorder",
+        "bag_recorder",
+        ros_arguments(bag=tmp_path / "bag", topics="[joint_states]"),
+    )
+    assert fcntl.fcntl(recorder.events, F_SETPIPE_SZ, SMALLEST) == SMALLEST
+    harness.wait(harness.states.get_subscription_count, what="the recorder")
+    told, held, since = 0, 0, time.monotonic()
+
+    def is_full():
+        """Publish a state, and tell whether events have stopped coming for as long as twenty."""
+        nonlocal told, held, since
+        harness.publish(told * MS, 0.0)
+        told += 1
+        before, held = (
+            held,
+            struct.unpack("i", fcntl.ioctl(recorder.events, FIONREAD, bytes(4)))[0],
+        )
+        if held != before:
+            since = time.monotonic()
+        return held and time.monotonic() > since + 1.0
+
+    harness.wait(is_full, what="the pipe to be full")
+    names = harness.call(ListParameters, "/recorder/list_parameters", ListParameters.Request())
+    assert "bag" in names.result.names
+
+    events = recorder.read_events()  # at its end it waits half a second for who reads
+    recorder.process.terminate()
+
+    def is_closed():
+        events.extend(recorder.read_events())
+        return recorder.process.poll() is not None
+
+    harness.wait(is_closed, what="the end")
+    assert recorder.process.returncode == 0
+    events.extend(recorder.read_events())
+    counts = [each["counts"]["/joint_states"] for each in events if each["event"] == "recorded"]
+    assert events[0]["event"] == "recording"
+    assert events[-1]["event"] == "closed"
+    assert counts == sorted(counts)
+    assert 20 < counts[-1] <= events[-1]["counts"]["/joint_states"] <= told
+    faults.count("parents that do not read: nodes that went on")

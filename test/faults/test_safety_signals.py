@@ -5,8 +5,7 @@ import signal
 import time
 
 import pytest
-from harness.graph import ros_arguments
-from harness.health import is_stopped
+from harness.graph import is_stopped, ros_arguments
 
 from hpid_ros.messages.joint_state import JointStateTemplate
 
@@ -86,30 +85,36 @@ class Arm:
 
 @pytest.mark.usefixtures("as_from_a_terminal")
 def test_each_signal_that_can_be_caught_gives_zero_first(harness, faults):
+    """Those that stop a process are sent to one of two joints: both are left."""
     joints = {f"joint_{number:d}": number for number in ENDS}
-    joints["stopped"] = joints["undisturbed"] = 0
     nodes = {joint: harness.start_controller(joint, joint, **GAINS) for joint in joints}
+    nodes["undisturbed"] = harness.start_controller("undisturbed", "undisturbed", **GAINS)
+    pair = ["elbow", "wrist"]
+    both = harness.processes.start(
+        "pair",
+        "joint_controllers",
+        ros_arguments(joints="[elbow, wrist]", **GAINS),
+        is_renamed=False,
+    ).process
+    ending, all_joints = list(joints), [*nodes, *pair]
     count = harness.states.get_subscription_count
-    harness.wait(lambda: count() == len(joints), within=60.0, what="all to listen")
-    arm = Arm(harness, list(joints))
+    harness.wait(lambda: count() == len(all_joints), within=60.0, what="all to listen")
+    arm = Arm(harness, all_joints)
 
-    arm.move(list(joints))
+    arm.move(all_joints)
     for number in STAYS:
         nodes["undisturbed"].process.send_signal(number)
     for number in STOPS:
-        process = nodes["stopped"].process
-        arm.move(["stopped"])
-        process.send_signal(number)
-        harness.wait(lambda: is_stopped(process), what=f"{number!r} to stop it")  # noqa: B023
-        harness.wait(lambda: arm.are_left(["stopped"]), what=f"a zero at {number!r}")
-        stood = len(arm.efforts("stopped"))
+        arm.move(pair)
+        both.send_signal(number)
+        harness.wait(lambda: is_stopped(both), what=f"{number!r} to stop it")
+        harness.wait(lambda: arm.are_left(pair), what=f"zeros at {number!r}")
+        stood = [len(arm.efforts(joint)) for joint in pair]
         arm.move(["undisturbed"])  # states go on
-        assert len(arm.efforts("stopped")) == stood
-        process.send_signal(signal.SIGCONT)
-        arm.move(["stopped"])
+        assert [len(arm.efforts(joint)) for joint in pair] == stood
+        both.send_signal(signal.SIGCONT)
+    arm.move(all_joints)
 
-    ending = [joint for joint, number in joints.items() if number]
-    arm.move(ending)
     for joint in ending:
         nodes[joint].process.send_signal(joints[joint])
     for joint in ending:
@@ -120,34 +125,15 @@ def test_each_signal_that_can_be_caught_gives_zero_first(harness, faults):
         )
         assert process.returncode == ENDS[joints[joint]], joint
     answered = {joint: len(arm.efforts(joint)) for joint in ending}
-    arm.move(["stopped", "undisturbed"])
+    arm.move(["undisturbed", *pair])
     assert {joint: len(arm.efforts(joint)) for joint in ending} == answered
+    both.send_signal(signal.SIGQUIT)
+    harness.wait(lambda: both.poll() is not None, what="the end of both")
+    harness.wait(lambda: arm.are_left(pair), what="two zeros")
+    assert both.returncode == -signal.SIGQUIT
     assert nodes["undisturbed"].process.poll() is None
     assert 0.0 not in arm.efforts("undisturbed")[2:]
     faults.count("signals: zero first", len(ENDS) + len(STOPS))
-
-
-@pytest.mark.usefixtures("as_from_a_terminal")
-def test_all_joints_of_a_process_are_left_when_it_is_stopped_and_when_it_quits(harness):
-    joints = ["elbow", "wrist"]
-    node = harness.processes.start(
-        "arm",
-        "joint_controllers",
-        ["-p", "joints:=[elbow, wrist]", *ros_arguments(**GAINS)],
-        is_renamed=False,
-    )
-    harness.wait(lambda: harness.states.get_subscription_count() == 2, what="both to listen")
-    arm = Arm(harness, joints)
-    arm.move(joints)
-    node.process.send_signal(signal.SIGTSTP)
-    harness.wait(lambda: is_stopped(node.process), what="the process to stop")
-    harness.wait(lambda: arm.are_left(joints), what="two zeros")
-    node.process.send_signal(signal.SIGCONT)
-    arm.move(joints)
-    node.process.send_signal(signal.SIGQUIT)
-    harness.wait(lambda: node.process.poll() is not None, what="the end")
-    harness.wait(lambda: arm.are_left(joints), what="two zeros")
-    assert node.process.returncode == -signal.SIGQUIT
 
 
 @pytest.mark.usefixtures("as_from_a_terminal")

@@ -10,7 +10,6 @@ import time
 from contextlib import contextmanager, suppress
 
 import pytest
-from harness.graph import ros_arguments
 from harness.places import ROOT
 from std_msgs.msg import Float64
 
@@ -32,18 +31,12 @@ PROGRAM = (
 
 
 class Motor:
-    """An ODrive with its motor, and the joint that it turns.
-
-    Args:
-        gear: Turns of the motor for one of the joint.
-        inertia: Of the joint [kg m^2].
-    """
+    """An ODrive with its motor, and the joint that it turns."""
 
     def __init__(self, gear, inertia):
-        self.gear, self.inertia = gear, inertia
-        self.position = self.velocity = self.torque = (
-            0.0  # of the joint, of the joint, of the motor
-        )
+        self.gear, self.inertia = gear, inertia  # turns for one of the joint; of the joint
+        self.position = self.velocity = 0.0  # of the joint
+        self.torque = 0.0  # of the motor
         self.state, self.mode = IDLE, None
 
     def obey(self, command, data):
@@ -55,9 +48,8 @@ class Motor:
             self.mode = struct.unpack("<ii", data)
 
     def move(self, dt):
-        driven = (
-            self.torque * self.gear if self.state == CLOSED_LOOP and self.mode == (1, 1) else 0.0
-        )
+        is_driven = self.state == CLOSED_LOOP and self.mode == (1, 1)
+        driven = self.torque * self.gear if is_driven else 0.0
         self.velocity += dt * (driven / self.inertia - self.velocity)
         self.position += dt * self.velocity
 
@@ -135,23 +127,10 @@ def driver(bus, environment):
             process.kill()
 
 
-def start_controller(harness, joint):
-    inertia = INERTIAS[joint]
-    arguments = ros_arguments(
-        joint=joint,
-        law="pid",
-        gains__p=25.0 * inertia,
-        gains__d=9.0 * inertia,
-        state_timeout=1.0,
-        certify=False,
-    )
-    return harness.processes.start(f"{joint}_controller", "joint_controller", arguments)
-
-
 def test_controllers_drive_motors_on_a_bus(harness, bus):
     """Joints come to their targets; without a controller, and at the end, they have no torque."""
     with driver(bus, harness.environment) as process:
-        controllers = {joint: start_controller(harness, joint) for joint in JOINTS}
+        controllers = {joint: harness.start_damped(joint, INERTIAS[joint]) for joint in JOINTS}
         setpoints = {
             joint: harness.node.create_publisher(Float64, f"{joint}_controller/setpoint", RARE)
             for joint in JOINTS

@@ -4,13 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness.health import Told
+from harness.graph import Told
+from harness.studies import children_of
 
 from hpid_ros.control import LoopSettings
 from hpid_ros.stability import certifier as certifiers
@@ -45,11 +44,11 @@ def test_finding_comes_later_and_then_serves_every_degree(monkeypatch):
 
 
 def test_what_is_being_computed_ends_with_the_certifier():
-    certifier, before = Certifier(), children()
+    certifier, before = Certifier(), set(children_of())
     certifier.want(settings(mu=0.05))
-    assert len(children() - before) == 1
+    assert len(set(children_of()) - before) == 1
     certifier.close()
-    assert children() == before
+    assert set(children_of()) == before
     assert certifier.poll() is False
 
 
@@ -67,10 +66,6 @@ def test_running_loops_come_first_but_a_loop_that_waits_has_ordinary_priority(mo
     assert begun == [["nice", "-n", "0"], ["nice", "-n", "19"]]
 
 
-def children():
-    return set(Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split())
-
-
 @pytest.mark.parametrize("failure", ["no child", "no answer"])
 def test_a_computation_that_fails_is_a_finding_and_no_error(monkeypatch, failure):
     """The loop beside which it runs must not end for it."""
@@ -79,14 +74,14 @@ def test_a_computation_that_fails_is_a_finding_and_no_error(monkeypatch, failure
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     with closing(Certifier()) as certifier:
-        before = children()
+        before = set(children_of())
         if failure == "no child":
             monkeypatch.setattr(subprocess, "Popen", refused)
             certifier.want(settings(mu=0.05))
         else:
             certifier.want(settings(mu=0.05))
-            (child,) = children() - before
-            os.kill(int(child), signal.SIGKILL)
+            (child,) = set(children_of()) - before
+            os.kill(child, signal.SIGKILL)
             while not certifier.poll():
                 pass
         found = certifier.finding(settings(mu=0.05))

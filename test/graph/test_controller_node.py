@@ -3,23 +3,28 @@
 import itertools
 import math
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from harness.fork_server import run_node
-from harness.graph import ros_arguments
-from harness.health import NAME, Told
+from harness.goals import needs_control_msgs
+from harness.graph import NAME, Told, ros_arguments
 from harness.loops import loop_settings, pure_loop
 from rcl_interfaces.srv import DescribeParameters
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.base.files import share_folder
+from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
+from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.motion import minimum_jerk
 from hpid_ros.nodes.core.middleware import LATCHED, RARE
+from hpid_ros.robot.compensation import compensators
 from hpid_ros.robot.description import RobotDescription
 
 MS = 1_000_000
@@ -33,12 +38,9 @@ def states(count, start=0):
 
 
 def test_an_observers_estimate_is_published_and_a_lack_of_inertia_is_told(harness):
-    estimates, reports = [], []
+    estimates, told = [], Told(harness)
     name = "/elbow_controller/estimate"
     harness.node.create_subscription(JointState, name, estimates.append, RARE)
-    harness.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda each: reports.extend(each.status), RARE
-    )
     values = {"law": "pid", "velocity_source": "observer", "velocity_filter_time_constant": 0.01}
     controller = harness.start_controller(introspection_rate=-1.0, **values, **GAINS)
     twin = pure_loop(**values, **GAINS)
@@ -53,7 +55,7 @@ def test_an_observers_estimate_is_published_and_a_lack_of_inertia_is_told(harnes
         what="the warning of the floor",
     )
     harness.wait(
-        lambda: any("needs the parameter inertia" in each.message for each in reports),
+        lambda: "needs the parameter inertia" in told.newest().get("message", ""),
         what="the warning",
     )
     assert harness.set_parameters("elbow_controller", inertia=0.5) == (True, "")
@@ -69,7 +71,7 @@ def test_an_observers_estimate_is_published_and_a_lack_of_inertia_is_told(harnes
 
 VALUES = {"law": "hpid", "mu": -0.3, "norm__effort_scale": 3.0, "norm__floor": 0.1}
 VALUES |= {"gains__p": 100.0, "gains__i": 400.0, "gains__d": 14.0, "inertia": 0.5}
-CHANGES = [  # that they make no jump is the loop's: test_safety_loop.py
+CHANGES = [  # that they make no jump is the loop's: test_safety.py
     {"norm__effort_scale": 6.0, "mu": -0.1},
     {"gains__p": 120.0, "gains__d": 16.0},
     {"velocity_source": "observer"},
@@ -160,17 +162,6 @@ def test_the_robots_stops_and_limits_hold_whatever_the_clamps_say(harness):
         assert harness.ask(stamp_ns, 0.0, -9.0, joint=joint) == limit
 
 
-def test_trajectories_come_from_volatile_publishers_too(harness):
-    harness.start_controller(law="pid", gains__p=10.0)
-    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", RARE)
-    harness.wait(publisher.get_subscription_count, what="the subscription")
-    harness.ask(0, 0.5)
-    motion = minimum_jerk([0.0, 0.002], {"elbow": [0.5, 1.5]})
-    publisher.publish(encode_joint_trajectory(motion))
-    stamps = iter(range(MS, 10_000 * MS, MS))
-    harness.wait(lambda: harness.ask(next(stamps), 0.5) == pytest.approx(10.0), what="the motion")
-
-
 def test_parameters_are_described_and_a_slider_moves_from_end_to_end_without_a_refusal(harness):
     """rqt and Foxglove draw a slider where there is a range, else a field for a number."""
     harness.start_controller(law="hpid", **GAINS)
@@ -194,6 +185,7 @@ def test_parameters_are_described_and_a_slider_moves_from_end_to_end_without_a_r
             assert abs(harness.ask(next(stamps), 0.1)) < 1e3
 
 
+ACTION = "follow_joint_trajectory"
 # Nothing is known of a degree without the inertia.
 UNCERTIFIED = {"joint": "a", "mu": 0.1, "require_certificate": True}
 MODELLED = {
@@ -246,6 +238,20 @@ MODELLED = {
         ("bag_recorder", {"bag": "new", "topics": "[a, a]"}, "each topic once"),
         ("bag_metrics", {}, "bags"),
         ("bag_metrics", {"bags": "[none]"}, "none"),
+        ("live.live_tuner", {"rate": 200.0}, "rate"),
+        ("live.live_tuner", {"host": "0.0.0.0", "open_browser": False}, "host"),
+        *(
+            pytest.param(ACTION, {"joints": "[elbow]", **given}, line, marks=needs_control_msgs)
+            for given, line in (
+                ({"joints": "[]"}, "each joint once"),
+                ({"angle_wraparound": "[wrist]"}, "angle_wraparound: unknown joint"),
+                ({"multi_turn": "[wrist]"}, "multi_turn: unknown joint"),
+                ({"state_topics": "[a, b, a]"}, "each topic once"),
+                ({"state_timeout": 100.0}, "state_timeout"),
+                ({"robot_description": "none.urdf"}, "none.urdf"),
+                ({"constraints__wrist__goal": 1.0}, "unknown parameter"),
+            )
+        ),
     ],
 )
 @pytest.mark.usefixtures("module_harness")  # for its domain
@@ -259,6 +265,35 @@ def test_a_node_that_cannot_start_says_one_line_and_ends_with_two(
     assert "Traceback" not in ended.stderr
     assert len(ended.stderr.strip().splitlines()) == 1 or isinstance(given, list)
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("library", "module", "parameters", "line"),
+    [
+        ("control_msgs", f"nodes.{ACTION}", "state_timeout:=0.5", "ros-jazzy-control-msgs"),
+        (
+            "control_msgs",
+            "nodes.joint_command_merger",
+            "command_interface:=dynamic_joint_state",
+            "needs the package control_msgs",
+        ),
+        ("nicegui", "live.live_tuner", "port:=0", "pip install 'hpid_ros[live]'"),
+    ],
+)
+@pytest.mark.usefixtures("module_harness")  # for its domain
+def test_a_library_that_is_missing_is_one_line_as_well(library, module, parameters, line):
+    joints = [] if "live" in module else ["-p", "joints:=[elbow]"]
+    arguments = ["x", "--ros-args", *joints, "-p", parameters]
+    program = (
+        f"import sys; sys.modules[{library!r}] = None; "
+        f"from hpid_ros.{module} import main; sys.exit(main({arguments}))"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 2
+    (said,) = ended.stderr.strip().splitlines()
+    assert line in said
 
 
 def test_health_tells_period_compute_time_and_missed_samples(harness):
@@ -345,3 +380,105 @@ def test_a_joint_that_slides_has_its_units_everywhere(harness, tmp_path):
     asked = harness.call(DescribeParameters, f"{NAME}/describe_parameters", request)
     for each, unit in zip(asked.descriptors, ["N/m", "N s/m", "m", "N", "kg"], strict=True):
         assert f"[{unit}]" in each.description
+
+
+# --- with a model of the robot
+
+ROBOT = str(share_folder() / "urdf" / "mobile_manipulator.urdf")
+JOINTS = tuple(RobotDescription.load(ROBOT).joints)
+ELBOW = "arm_joint_3"
+MODEL_PARAMETERS = {
+    "gains__p": 300.0,
+    "gains__i": 0.0,
+    "gains__d": 30.0,
+    "law": "pid",
+    "robot_description": ROBOT,
+    "compensation": "decoupling",
+    "model__left_wheel": "wheel_left_joint",
+    "model__right_wheel": "wheel_right_joint",
+    "introspection_rate": -1.0,
+    "state_timeout": 0.01,
+}
+
+
+def ask_whole(harness, stamp_ns, names=JOINTS, positions=None, efforts=None):
+    """Publish one state of the whole robot and return the effort that answers it."""
+    count = len(names)
+    template = JointStateTemplate(names, position=True, velocity=True, effort=efforts is not None)
+    harness.states.publish(
+        template.encode(
+            stamp_ns,
+            position=positions or [0.3] * count,
+            velocity=[0.0] * count,
+            effort=efforts or (),
+        )
+    )
+    harness.wait(
+        lambda: any(each.stamp_ns == stamp_ns for each in harness.commands),
+        what=f"the answer to {stamp_ns}",
+    )
+    return next(each.effort[0] for each in harness.commands if each.stamp_ns == stamp_ns)
+
+
+def in_this_process():
+    """Return the loop and the model that the node should be."""
+    values = {
+        key.replace("__", "."): value
+        for key, value in MODEL_PARAMETERS.items()
+        if key not in ("robot_description", "introspection_rate")
+    }
+    settings = LoopSettings.from_parameters({"joint": ELBOW, **values})
+    (model,) = compensators([settings], ROBOT)
+    return JointLoop(settings), model
+
+
+def test_a_node_with_a_model_answers_whole_states_and_survives_those_that_are_not(harness):
+    terms, told = [], Told(harness)
+    harness.node.create_subscription(JointState, f"{NAME}/terms", terms.append, RARE)
+    harness.start_controller(joint=ELBOW, state_watchdog=False, **MODEL_PARAMETERS)
+    loop, model = in_this_process()
+    order = model.states.joints
+    efforts = [0.5 * k for k in range(len(JOINTS))]
+    seen = [efforts[JOINTS.index(name)] for name in order]
+
+    def expected(stamp_ns):
+        term = model.term(stamp_ns, [0.3] * 8, [0.0] * 8, seen)
+        return loop.step(stamp_ns, 0.3, 0.0, term)
+
+    for k in range(1, 4):
+        answer = ask_whole(harness, k * MS, efforts=efforts)
+        assert answer == expected(k * MS)
+    assert answer != 0.0
+    backwards = ask_whole(harness, 4 * MS, names=JOINTS[::-1], efforts=efforts[::-1])
+    assert backwards == expected(4 * MS)
+    # A joint is missing, no efforts, efforts that are none: the last term stands ...
+    others = [name for name in JOINTS if name != "arm_joint_1"]
+    bad = [*efforts[:-1], float("nan")]
+    for stamp_ns, state in (
+        (5 * MS, {"names": others, "efforts": efforts[1:]}),
+        (6 * MS, {}),
+        (7 * MS, {"efforts": bad}),
+    ):
+        held = ask_whole(harness, stamp_ns, **state)
+        assert held == loop.step(stamp_ns, 0.3, 0.0, model.hold(stamp_ns, ""))
+    # ... and not for longer than state_timeout.
+    assert ask_whole(harness, 15 * MS) == 0.0
+    assert ask_whole(harness, 16 * MS, efforts=efforts) != 0.0
+    harness.wait(lambda: terms, what="terms")
+    assert list(terms[0].name) == ["p", "i", "d", "model", "feedforward"]
+    assert sum(terms[0].effort) == pytest.approx(answer, abs=1e-9)
+
+    harness.wait(lambda: told.count("states without a model term") == 1, what="a report")
+    assert told.says(compensation="decoupling", model_terms_held="3")
+    assert "no efforts" in told.newest()["last fault of the model"]
+
+    # Compensation is fixed, and gains are not.
+    accepted, reason = harness.set_parameters(NAME, compensation="none")
+    assert not accepted
+    assert "read-only" in reason
+    assert harness.set_parameters(NAME, model__payload=1.0)[0] is False
+    assert harness.set_parameters(NAME, gains__p=200.0)[0]
+    # On a unit double integrator these gains are unstable, whatever the joint's inertia.
+    accepted, reason = harness.set_parameters(NAME, gains__i=1e5)
+    assert not accepted
+    assert "unstable" in reason or "Hurwitz" in reason or "p d" in reason

@@ -1,6 +1,5 @@
-"""Comparisons on the real graph: equal to the in-process engine, whole, closed, and robust."""
+"""Comparisons on the real graph: equal to the in-process engine, closed, robust; forked nodes."""
 
-import json
 import os
 import signal
 import socket
@@ -12,19 +11,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from harness.experiments import write_experiment
-from harness.studies import wait_until
+from harness.graph import ros_arguments
+from harness.studies import children_of, wait_until
 from mcap_ros2.reader import read_ros2_messages
 
 from hpid_ros.base.errors import RunError
 from hpid_ros.experiment import graph_run
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.forking import Beginning, ForkServer
 from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph
 from hpid_ros.experiment.in_process import NoProgress
-from hpid_ros.experiment.processes import (
-    network_sockets,
-    require_no_sockets,
-)
+from hpid_ros.experiment.processes import NodeGroup, network_sockets, require_no_sockets
 from hpid_ros.messages.run import read_run
 
 
@@ -40,11 +38,15 @@ def compared(tmp_path_factory):
     # What an observer knows of the efforts is what was sent, noise and all.
     observer = {"degree": -0.2, "feed_disturbance": True}
     law = {"law": "hpid", "mu": -0.1, "velocity_source": "observer", "observer": observer}
-    file = write_experiment(folder, compare__observer=law, sensors__noise=2e-4)
+    unit_gains = {"p": 300.0, "i": 1000.0, "d": 30.0}  # three poles at -10 rad/s
+    model = {"compensation": "decoupling", "gains": unit_gains, "model": {"payload": 0.4}}
+    changes = {"compare__observer": law, "compare__model": {"law": "hpid", "mu": -0.1, **model}}
+    file = write_experiment(folder, sensors__noise=2e-4, **changes)
     return run_compare(load_experiment(file), folder / "result")
 
 
 def test_graph_and_in_process_engine_agree_to_the_last_bit(compared, tmp_path):
+    """Also where nine processes each compute the model that one shares between the joints."""
     experiment, here = compared.result.experiment, tmp_path / "here"
     in_process = run_compare(experiment, here, in_process=True)
     first, other = [
@@ -58,24 +60,8 @@ def test_graph_and_in_process_engine_agree_to_the_last_bit(compared, tmp_path):
             assert np.array_equal(one.effort, other.effort)
 
 
-def test_result_folder_is_whole(compared):
-    experiment, folder = compared.result.experiment, compared.folder.path
-    for name in ("result.json", "table.txt", "table.csv", "table.tex", "report.html"):
-        assert (folder / name).stat().st_size > 100
-    report = (folder / "report.html").read_text()
-    for figure in ("positions", "efforts", "errors", "effort_norm", "error_norm", "end_effector"):
-        assert f'id="{figure}"' in report
-    result = json.loads((folder / "result.json").read_text())
-    assert result["sha256"] == experiment.digest
-    engine = f'<tr><th scope="row">engine</th><td>{result["engine"]}</td></tr>'
-    assert engine in report
-    for samples in result["samples"].values():
-        for joint in samples.values():
-            assert joint == {"states": 301, "commands": 301, "unanswered_states": 0}
-
-
 def test_another_reader_finds_every_state_and_its_eight_commands(compared):
-    assert [(each.processes, each.warnings) for each in compared.reports] == [(10, [])] * 3
+    assert [(each.processes, each.warnings) for each in compared.reports] == [(10, [])] * 4
     (mcap,) = compared.folder.bag("hPID").glob("*.mcap")
     states, commands = [], {}
     for message in read_ros2_messages(mcap):
@@ -206,13 +192,6 @@ def heed_interrupts():
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def processes_below(pid):
-    below = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
-    )
-    return [int(each) for each in below.stdout.split()]
-
-
 @pytest.mark.faults
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
@@ -229,7 +208,7 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
     try:
         mcap = folder / "bags" / "PID" / "PID.mcap"
         wait_until(lambda: mcap.exists() and mcap.stat().st_size > 200_000, 60.0)
-        nodes = processes_below(hpid.pid)
+        nodes = children_of(hpid.pid)
         assert len(nodes) == 11  # with the server that forked them
         hpid.send_signal(number)
         hpid.wait(timeout=60)
@@ -252,3 +231,49 @@ def test_the_self_check_sees_a_network_socket():
         assert "udp" in network_sockets(os.getpid())
         with pytest.raises(RunError, match=r"not closed: .*\(.*udp"):
             require_no_sockets([os.getpid()])
+
+
+# --- nodes that are forked from a server are like others
+
+GONE_WITHIN = 30.0
+
+
+@pytest.fixture
+def group(harness, tmp_path):
+    with NodeGroup(harness.environment, tmp_path, is_forked=True) as group:
+        yield group
+
+
+def test_a_forked_node_works_leads_a_session_and_ends_by_a_signal(harness, group):
+    arguments = ros_arguments(joint="elbow")
+    node = group.start("elbow_controller", "joint_controller", arguments)
+    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the controller")
+    assert os.getsid(node.pid) == node.pid
+    assert node.process.poll() is None
+    environment = Path(f"/proc/{node.pid}/stat").read_text()
+    assert environment.split()[3] == str(os.getpid())  # its parent
+    with pytest.raises(subprocess.TimeoutExpired):
+        node.process.wait(0.01)
+    node.process.terminate()
+    assert node.process.wait(GONE_WITHIN) == 0
+    assert node.process.poll() == 0
+    second = group.start("second", "joint_controller", arguments)
+    second.process.kill()
+    assert second.process.wait(GONE_WITHIN) == -signal.SIGKILL
+
+
+def test_what_a_forked_node_refuses_is_its_last_line_and_its_exit_code(group):
+    node = group.start("elbow_controller", "joint_controller", ros_arguments(joint="a", mu=1.0))
+    assert node.process.wait(GONE_WITHIN) == 2
+    assert "mu" in node.last_words()
+    missing = group.start("missing", "no_such_node", [])
+    assert missing.process.wait(GONE_WITHIN) == 1
+    assert "no_such_node" in missing.last_words()
+
+
+def test_without_its_server_no_node_is_started_and_one_line_says_so(group):
+    server = ForkServer(os.environ)
+    server._process.kill()
+    server._process.wait()
+    with pytest.raises(RunError, match="what forks nodes has ended"):
+        server.fork("hpid_ros.nodes.joint_controller", [], {}, Beginning(signal.SIGTERM), {})

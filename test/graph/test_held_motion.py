@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from harness.health import change, state
+from harness.graph import change, state
 from harness.turntable import INERTIA, positions, start_turntable, wait_for_rest
 
 from hpid_ros.base.errors import RunError

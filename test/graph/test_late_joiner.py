@@ -59,19 +59,23 @@ def test_points_before_the_stamp_are_for_motions_that_have_a_stamp():
         JointTrajectory(("elbow",), (TrajectoryPoint(-2, (0.0,)),), stamp_ns=1)
 
 
-@pytest.mark.parametrize("start_ns", [0, 7_000 * MS])
-def test_the_publisher_latches_the_start_once_the_motion_has_begun(harness, tmp_path, start_ns):
-    file = tmp_path / "motion.yaml"
+def start_publisher(harness, folder):
+    """Return the process of a publisher, and the trajectories that come from now on."""
+    file, received = folder / "motion.yaml", []
     file.write_text(
         "reference: {kind: minimum_jerk, times: [0.0, 2.0], positions: {elbow: [0.0, 1.0]}}"
     )
-    received = []
     harness.node.create_subscription(
         JointTrajectoryMessage, "joint_trajectory", received.append, LATCHED
     )
-    process = harness.processes.start(
-        "reference", "trajectory_publisher", ros_arguments(reference_file=file)
-    ).process
+    arguments = ros_arguments(reference_file=file)
+    return harness.processes.start("reference", "trajectory_publisher", arguments), received
+
+
+@pytest.mark.parametrize("start_ns", [0, 7_000 * MS])
+def test_the_publisher_latches_the_start_once_the_motion_has_begun(harness, tmp_path, start_ns):
+    started, received = start_publisher(harness, tmp_path)
+    process = started.process
     harness.wait(lambda: received, what="the trajectory")
     motion = minimum_jerk([0.0, 2.0], {"elbow": [0.0, 1.0]})
     assert from_message(received[0]) == motion
@@ -95,17 +99,8 @@ def test_the_publisher_latches_the_start_once_the_motion_has_begun(harness, tmp_
 
 def test_where_states_come_already_all_are_told_the_same_start(harness, tmp_path):
     """Not each its own: that of the state that it had when the trajectory came."""
-    file = tmp_path / "motion.yaml"
-    file.write_text(
-        "reference: {kind: minimum_jerk, times: [0.0, 2.0], positions: {elbow: [0.0, 1.0]}}"
-    )
-    received, template, count = [], JointStateTemplate(["elbow"], position=True), itertools.count()
-    harness.node.create_subscription(
-        JointTrajectoryMessage, "joint_trajectory", received.append, LATCHED
-    )
-    harness.processes.start(
-        "reference", "trajectory_publisher", ros_arguments(reference_file=file)
-    )
+    _, received = start_publisher(harness, tmp_path)
+    template, count = JointStateTemplate(["elbow"], position=True), itertools.count()
 
     def is_received():
         harness.states.publish(template.encode(next(count) * MS, position=[0.0]))

@@ -37,6 +37,7 @@ def context(harness, tuner):
     """Return a browser that has opened the address once: it has the cookie."""
     events = []
     harness.wait(lambda: events.extend(tuner.read_events()) or events, what="the page")
+    assert tuner.log.read_text().startswith(f"hpid live: {events[0]['url']}\n")
     with launched() as browser:
         context = browser.new_context(
             viewport={"width": 1300, "height": 1000}, base_url=events[0]["url"]

@@ -5,7 +5,8 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from urllib.request import HTTPCookieProcessor, build_opener
+from urllib.error import HTTPError
+from urllib.request import HTTPCookieProcessor, build_opener, urlopen
 
 import pytest
 
@@ -55,6 +56,10 @@ def test_one_command_starts_robot_controllers_and_page_and_ends_them(harness, pl
     page = next(line.split()[1] for line in lines if line.startswith("page:"))
     with build_opener(HTTPCookieProcessor()).open(page, timeout=20.0) as answer:
         assert answer.status == 200
+    root = page.partition("?")[0]
+    assert root.startswith("http://127.0.0.1:")
+    with pytest.raises(HTTPError):  # who has neither token nor cookie
+        urlopen(root, timeout=20.0)
     harness.wait(lambda: len({each.names[0] for each in harness.commands}) == 8, what="all joints")
     assert harness.set_parameters("arm_joint_6_controller", mu=0.2)[0]
     assert not harness.set_parameters("arm_joint_6_controller", mu=0.6)[0]

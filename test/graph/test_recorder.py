@@ -10,7 +10,7 @@ import time
 
 import pytest
 import yaml
-from harness.bag_reader import BagReader
+from harness.bags import BagReader
 from harness.graph import ros_arguments
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory

@@ -2,8 +2,7 @@
 
 import threading
 
-from harness.graph import ros_arguments
-from harness.health import Told, change
+from harness.graph import Told, change, ros_arguments
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64

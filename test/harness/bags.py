@@ -1,14 +1,15 @@
-"""Messages and bags for tests, built from numbers."""
+"""Messages and bags for tests, built from numbers, and read by readers not of the package."""
 
 import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
+import mcap.writer
 import numpy as np
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from harness.bag_reader import BagReader
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.messages import PARAMETER_EVENTS
 from hpid_ros.messages.reports import ODOMETRY, Stamp, encode_odometry
@@ -19,12 +20,31 @@ from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+KINDS = {
+    "joint_states": JOINT_STATE,
+    "joint_commands": JOINT_STATE,
+    "joint_trajectory": JOINT_TRAJECTORY,
+}
 FLOATS = "std_msgs/msg/Float64MultiArray"
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 S = 1_000_000_000
 MS = 1_000_000
 
 Log = Sequence[tuple[str, int, bytes]]
+
+
+class Message(NamedTuple):
+    topic: str
+    log_time_ns: int
+    raw: bytes
+
+
+class BagReader(Reader):
+    """A bag as rosbags reads it."""
+
+    def messages(self):
+        for connection, log_time_ns, raw in super().messages():
+            yield Message(connection.topic, log_time_ns, bytes(raw))
 
 
 def state(stamp_ns: int, **positions: float) -> tuple[str, int, bytes]:
@@ -73,17 +93,33 @@ def ramp(joint: str, *, stamp_ns: int = 0, **at_seconds: float) -> JointTrajecto
 
 
 def write_bag(path: Path, log: Log, namespace: str = "/") -> Path:
-    kinds = {
-        "joint_states": JOINT_STATE,
-        "joint_commands": JOINT_STATE,
-        "joint_trajectory": JOINT_TRAJECTORY,
-    }
+    kinds = dict(KINDS)
     if any(name == "odom" for name, _, _ in log):
         kinds["odom"] = ODOMETRY
     with BagWriter(path) as bag:
         topics = {name: bag.add_topic(namespace + name, kind) for name, kind in kinds.items()}
         for name, log_time_ns, raw in log:
             bag.write(topics[name], log_time_ns, raw)
+    return path
+
+
+def write_mcap(path: Path, log, *, end: bool = True, **options) -> Path:
+    """Write ``(topic, log time, raw)``; without the end as after a recorder that was killed."""
+    with path.open("wb") as stream:
+        writer = mcap.writer.Writer(stream, chunk_size=2000, **options)
+        writer.start("ros2", "test")
+        schemas = {
+            kind: writer.register_schema(kind, "ros2msg", b"float64 x")
+            for kind in sorted(set(KINDS.values()))
+        }
+        channels = {
+            name: writer.register_channel(f"/{name}", "cdr", schemas[kind])
+            for name, kind in KINDS.items()
+        }
+        for name, log_time_ns, raw in log:
+            writer.add_message(channels[name], log_time_ns, raw, log_time_ns)
+        if end:
+            writer.finish()
     return path
 
 

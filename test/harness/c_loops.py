@@ -38,13 +38,7 @@ def write_c(folder, settings, precision="double"):
 
 
 class CLibrary:
-    """The functions of one joint's loop in C, for any settings.
-
-    Args:
-        folder: Where it is compiled.
-        settings: As exported; whatever is given to a loop is told at run time.
-        precision: Of its numbers.
-    """
+    """The functions of one joint's loop in C, for any settings."""
 
     def __init__(self, folder, settings, precision="double"):
         self.prefix = write_c(folder, settings, precision)
@@ -105,12 +99,7 @@ class CLibrary:
 
 
 class CLoop:
-    """A loop in C, called as Python's.
-
-    Args:
-        library: Its functions.
-        settings: Of Python.
-    """
+    """A loop in C, called as Python's."""
 
     def __init__(self, library, settings):
         self._library = library
@@ -145,12 +134,7 @@ class CLoop:
 
 
 def parameters_by_chance(chance, **others):
-    """Return parameters of a loop, most of them sensible; they need not go together.
-
-    Args:
-        chance: A ``random.Random``.
-        others: Whose values are certain; ``__`` stands for a dot.
-    """
+    """Return parameters of a loop, most of them sensible; they need not go together."""
     p = 10.0 ** chance.uniform(-1.0, 3.0)
     d = p * 10.0 ** chance.uniform(-2.0, 0.0)
     inertia = chance.choice((0.0, 0.0, d * d / p * chance.uniform(0.1, 1.0)))
@@ -209,11 +193,6 @@ def states_by_chance(chance, count, period):
 
     Most follow each other as those of a joint do; some are lost, repeated, out of order, no
     numbers, or where no joint can have come to.
-
-    Args:
-        chance: A ``random.Random``.
-        count: How many.
-        period: Between two states, in [s].
     """
     bad = (math.nan, math.inf, -math.inf, 1e300, 2e9, -1e9, 1e-300, 0.0, -0.0)
     stamp_ns, step_ns = chance.choice((0, 10**9, 10**15, -(10**12))), round(period * 1e9)

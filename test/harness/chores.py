@@ -1,8 +1,11 @@
-"""Work for processes of their own: functions that such a process can import."""
+"""Work for processes of their own, which they can import, and interrupts of the tests' own one."""
 
 import os
 import signal
 import threading
+from contextlib import contextmanager
+
+from hpid_ros.base.processes import heed_interrupts
 
 LOCK = threading.Lock()
 
@@ -23,3 +26,16 @@ def deadly(name):
 def faulty(number):
     """Refuse a number."""
     raise ValueError(f"not {number}")
+
+
+@contextmanager
+def heeded_interrupts():
+    """Heed interrupts as a command does, and leave none to whoever asks later."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    heed_interrupts()
+    try:
+        yield
+    finally:
+        heed_interrupts()
+        for number, handler in before.items():
+            signal.signal(number, handler)

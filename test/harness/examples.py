@@ -4,10 +4,5 @@ from hypothesis import settings
 
 
 def examples(share, **others):
-    """Return settings with a share of the examples of the profile in force.
-
-    Args:
-        share: Above 1 for what is cheap and has many corners, below for what takes long.
-        others: Further settings.
-    """
+    """Return settings with a share of the active profile's examples: above 1 for what is cheap."""
     return settings(max_examples=max(1, round(share * settings().max_examples)), **others)

@@ -15,12 +15,7 @@ KINDS = (
 
 
 class StateFuzzer:
-    """Makes serialised JointStates, most of them wrong in one way.
-
-    Args:
-        joint: The joint that they are about, more or less.
-        seed: Of all chance.
-    """
+    """Makes serialised JointStates, more or less about a joint, most of them wrong in one way."""
 
     def __init__(self, joint, seed):
         self.joint = joint

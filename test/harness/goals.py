@@ -49,20 +49,16 @@ class Joints:
     """Joints of inertia 1, one state after the other, each answered by all controllers that live.
 
     No faster than the wall clock: what passes between processes takes its time there.
-
-    Attributes:
-        blocked: Joints that do not move.
-        alive: Joints whose commands each state waits for.
-        apart: Topics of the states of joints that have one of their own.
-        references: By joint: stamps [s], positions and velocities that its controller told.
     """
 
     def __init__(self, harness, joints=JOINTS, apart=None):
-        self.harness, self.joints, self.apart = harness, joints, apart or {}
+        self.harness, self.joints = harness, joints
+        self.apart = apart or {}  # topics of joints whose states have one of their own
         self.position, self.velocity = dict.fromkeys(joints, 0.0), dict.fromkeys(joints, 0.0)
         self.effort = dict.fromkeys(joints, 0.0)
-        self.blocked, self.alive, self.is_paused = set(), set(joints), False
-        self.references = {joint: [] for joint in joints}
+        self.alive = set(joints)  # whose commands each state waits for
+        self.blocked, self.is_paused = set(), False
+        self.references = {joint: [] for joint in joints}  # stamps [s], positions, velocities
         self._count, self._answers = 0, {}
         self._begun, self._asked = 0.0, 0.0
         node = harness.node
@@ -140,11 +136,6 @@ class Joints:
         """Let so much time pass for the joints."""
         end = self.now + seconds
         self.run(lambda: self.now >= end, what=f"{seconds} s of states")
-
-    def column(self, joint, since=0.0):
-        """Return stamps, positions and velocities of a joint's references."""
-        rows = [row for row in self.references[joint] if row[0] >= since]
-        return zip(*rows, strict=True)
 
     def _step(self):
         if self.is_paused:
@@ -235,12 +226,3 @@ class Client:
 
     def close(self):
         self._client.destroy()
-
-    def cancel(self, handle):
-        """Cancel a goal and return how it ended."""
-        self._joints.is_paused = True  # the goal does not go on while the cancel is on its way
-        asked = handle.cancel_goal_async()
-        self._joints.run(asked.done, what="the answer to a cancel")
-        self._joints.is_paused = False
-        assert asked.result().goals_canceling
-        return self.result(handle)

@@ -2,8 +2,12 @@
 
 import math
 import time
+from pathlib import Path
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
@@ -14,6 +18,14 @@ from hpid_ros.experiment.processes import NodeGroup
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import OFFERED
 
+NAME = "elbow_controller"
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
 _ANSWERED_WITHIN = _LOST_WITHIN = 5.0  # [s]
 _VALUES = {
     bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
@@ -61,13 +73,13 @@ class Harness:
     def _on_command(self, raw):
         self.on_command(decode_joint_state(raw))
 
-    def heard_from_now(self, duration):
+    def heard_from_now(self, duration, topic="joint_commands", least=0):
         """Return the commands of a while from now on, without what waits for a test that slept."""
         heard = []
-        fresh = self.node.create_subscription(JointState, "joint_commands", heard.append, OFFERED)
-        self.wait(fresh.get_publisher_count, what="a publisher of commands")
+        fresh = self.node.create_subscription(JointState, topic, heard.append, OFFERED)
+        self.wait(fresh.get_publisher_count, what=f"a publisher of {topic}")
         end = time.monotonic() + duration
-        self.wait(lambda: time.monotonic() > end, what="the while to pass")
+        self.wait(lambda: time.monotonic() > end and len(heard) >= least, what="the while to pass")
         self.node.destroy_subscription(fresh)
         return heard
 
@@ -87,7 +99,7 @@ class Harness:
         """Tell whether a node subscribes to a topic."""
         return _has(self.node.get_subscriptions_info_by_topic(topic), name, namespace)
 
-    def start_controller(self, name="elbow_controller", joint="elbow", **parameters):
+    def start_controller(self, name=NAME, joint="elbow", **parameters):
         """Start a controller and wait until it listens to the states.
 
         Its clock is that of the test, which stands still while the test does something else. Only
@@ -100,6 +112,12 @@ class Harness:
         )
         self.wait(lambda: self.states.get_subscription_count() > 0, what=f"{name} to listen")
         return process
+
+    def start_damped(self, joint, inertia):
+        """Start a controller of a joint of an inertia; the poles of all are the same."""
+        gains = {"law": "pid", "gains__p": 25.0 * inertia, "gains__d": 9.0 * inertia}
+        arguments = ros_arguments(joint=joint, state_timeout=1.0, certify=False, **gains)
+        return self.processes.start(f"{joint}_controller", "joint_controller", arguments)
 
     def ask(self, stamp_ns, position, velocity=0.0, joint="elbow"):
         """Publish one state, again where it was lost, and return the effort that answers it."""
@@ -178,3 +196,49 @@ def ros_arguments(**parameters):
         text = str(value).lower() if isinstance(value, bool) else str(value)
         arguments += ["-p", f"{name.replace('__', '.')}:={text}"]
     return arguments
+
+
+class Told:
+    """What a node, a controller if none is named, has told of its health."""
+
+    def __init__(self, harness, name=NAME):
+        self._name, self._statuses = name, []
+        harness.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
+
+    def _take(self, message):
+        self._statuses += [status for status in message.status if self._name in status.name]
+
+    def newest(self):
+        """Return the newest figures by name; empty before the first."""
+        if not self._statuses:
+            return {}
+        newest = self._statuses[-1]
+        figures = {pair.key: pair.value for pair in newest.values}
+        return {"message": newest.message, "level": newest.level, **figures}
+
+    def count(self, key):
+        """Return one of the newest figures as a number; 0 before the first."""
+        return int(self.newest().get(key, 0))
+
+    def says(self, **figures):
+        """Tell whether the newest figures are these; ``_`` stands for a blank."""
+        newest = self.newest()
+        return all(newest.get(key.replace("_", " ")) == value for key, value in figures.items())
+
+
+def change(harness, label, node=NAME):
+    """Ask for a transition as ``ros2 lifecycle set`` does: by its number."""
+    request = ChangeState.Request(transition=Transition(id=TRANSITIONS.get(label, 99)))
+    answer = harness.call(ChangeState, f"{node}/change_state", request, again=False)
+    return answer.success
+
+
+def state(harness, node=NAME):
+    """Return the name of the lifecycle's state."""
+    answer = harness.call(GetState, f"{node}/get_state", GetState.Request())
+    return answer.current_state.label
+
+
+def is_stopped(process):
+    status = Path(f"/proc/{process.pid}/stat").read_text()
+    return status.rpartition(")")[2].split()[0] == "T"

@@ -45,10 +45,6 @@ class SimulatedGroup:
     Whatever is told comes to each loop after a delay of its own, and states may come to the
     follower late, too. The encoders of some begin anew after a turn; their loops know it, and
     have parameters of their own.
-
-    Attributes:
-        results: How goals have ended, in their order.
-        log: By joint: stamp, reference position and velocity, position, effort of each sample.
     """
 
     def __init__(
@@ -79,7 +75,7 @@ class SimulatedGroup:
         self.blocked, self.deaf, self.mute = set(), set(), set()
         self.is_behind = False  # whether more waits to be taken than the states
         self.results, self.told = [], []
-        self.log = [[] for _ in joints]
+        self.log = [[] for _ in joints]  # stamp, reference, its rate, position, effort
         self._draw, self._most = random.Random(seed), most_delay
         self._under_way = []
 

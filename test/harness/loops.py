@@ -33,11 +33,7 @@ TURNS = {"multi_turn": True}  # nor this
 
 
 def loop_settings(*, gains=None, **parameters):
-    """Return the settings of a joint's loop.
-
-    In the names of parameters ``__`` stands for a dot; ``gains`` are those of ``gains.p`` to
-    ``gains.d``.
-    """
+    """Return the settings of a joint's loop; ``__`` in a parameter's name stands for a dot."""
     values = {"joint": "elbow", **{k.replace("__", "."): v for k, v in parameters.items()}}
     if gains is not None:
         values |= {f"gains.{term}": getattr(gains, term) for term in "pid"}

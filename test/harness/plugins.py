@@ -130,13 +130,7 @@ inline void rcutils_sha256_final(rcutils_sha256_ctx_t * context, std::uint8_t * 
 
 
 class Plugin:
-    """A controller of an exported package; the controller_manager is the test.
-
-    Args:
-        library: What :func:`compile_plugin` has made.
-        joints: Their names, in the order of the export.
-        update_rate: [Hz] of the manager; 0 says nothing.
-    """
+    """A controller of an exported package; the controller_manager is the test."""
 
     def __init__(self, library, joints, *, is_chained=False, update_rate=0, **overrides):
         self._library = ctypes.CDLL(str(library))

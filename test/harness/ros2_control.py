@@ -37,16 +37,13 @@ COMMANDS = QoSProfile(
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
+PERIOD = 0.005  # [s]
 NAME = "forward_effort_controller"
 LABELS = {True: "active", False: "inactive"}
 
 
 class Joint:
-    """An inertia with friction.
-
-    Args:
-        inertia: In [kg m^2].
-    """
+    """An inertia with friction."""
 
     def __init__(self, inertia):
         self.inertia = inertia
@@ -60,13 +57,8 @@ class Joint:
 class GroupController:
     """A forward_command_controller, or a JointGroupEffortController, of efforts.
 
-    Args:
-        context: Of its node, which has a thread of its own: a node that is destroyed in the midst
-            of another thread's work goes later, and takes the name of the next one with it.
-        joints: Its parameter ``joints``.
-        interface: Its parameter ``interface_name``.
-        kind: ``forward`` or ``group``.
-        name: Of its node.
+    Its node has a thread of its own: one that is destroyed in the midst of another thread's work
+    goes later, and takes the name of the next one with it.
     """
 
     def __init__(self, context, joints, interface, kind, name):
@@ -127,25 +119,12 @@ def spin(executor, ended):
 
 
 class Ros2Control:
-    """A manager in a thread of its own.
+    """A manager in a thread of its own, and joints by name."""
 
-    Attributes:
-        hardware: The joints by name.
-        controller: The group controller; None while it is not loaded.
-        refused: Sizes of the messages for which the manager has deactivated it.
-
-    Args:
-        context: Of its nodes.
-        inertias: Of the joints, by name.
-        rate: Updates in a second.
-        with_effort: Whether the joints have a state interface of effort.
-    """
-
-    def __init__(self, context, inertias, rate=200.0, with_effort=False):
+    def __init__(self, context, inertias):
         self.hardware = {name: Joint(inertia) for name, inertia in inertias.items()}
-        self.controller = None
-        self.refused = []
-        self._with_effort, self._dt = with_effort, 1.0 / rate
+        self.controller = None  # while none is loaded
+        self.refused = []  # sizes of the messages for which the manager has deactivated it
         self._lock = threading.RLock()
         self._context = context
         self._manager = rclpy.create_node("controller_manager", context=self._context)
@@ -158,7 +137,7 @@ class Ros2Control:
         self._executor = SingleThreadedExecutor(context=self._context)
         for node in (self._manager, self._broadcaster):
             self._executor.add_node(node)
-        self._manager.create_timer(self._dt, self._cycle)
+        self._manager.create_timer(PERIOD, self._cycle)
         self._manager.create_timer(0.1, self._tell)
         self._ended = threading.Event()
         arguments = (self._executor, self._ended)
@@ -176,13 +155,13 @@ class Ros2Control:
         for node in (self._manager, self._broadcaster):
             node.destroy_node()
 
-    def load(self, joints, *, interface="effort", kind="forward", name=NAME, is_active=True):
-        """Load, configure and, if wished, activate a group controller in place of the last one."""
+    def load(self, joints, *, interface="effort", kind="forward", name=NAME):
+        """Load, configure and activate a group controller in place of the last one."""
         self.unload()
         controller = GroupController(self._context, joints, interface, kind, name)
         with self._lock:
             self.controller = controller
-        self.switch(is_active)
+        self.switch(True)
 
     def unload(self):
         """Deactivate the controller and remove its node, if there is one."""
@@ -212,7 +191,7 @@ class Ros2Control:
                 self.refused.append(len(controller.received[-1][1]))
                 self.switch(False)
             for joint in self.hardware.values():
-                joint.move(self._dt)
+                joint.move(PERIOD)
             self._publish_states()
 
     def _publish_states(self):
@@ -222,7 +201,7 @@ class Ros2Control:
             name=names,
             position=[joint.position for joint in joints],
             velocity=[joint.velocity for joint in joints],
-            effort=[joint.effort if self._with_effort else math.nan for joint in joints],
+            effort=[math.nan] * len(joints),
         )
         state.header.frame_id = "base_link"
         state.header.stamp = self._manager.get_clock().now().to_msg()

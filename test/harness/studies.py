@@ -25,11 +25,11 @@ def study(files, folder, *options, seeds=2):
     return main(["study", *map(str, arguments)])
 
 
-def wait_until(is_true, within=120.0):
+def wait_until(is_true, within=120.0, what="it"):
     """Wait for a condition."""
     deadline, pause = time.monotonic() + within, threading.Event()
     while not is_true():
-        assert time.monotonic() < deadline, f"waited {within} s in vain"
+        assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
         pause.wait(0.02)
 
 

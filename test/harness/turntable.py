@@ -60,12 +60,8 @@ def start_turntable(harness, folder, mode="realtime", pace=1.0, **more):
 
 def positions(harness, duration=0.3):
     """Return where the joint is from now on, for a while."""
-    end = time.monotonic() + 0.5
-    harness.wait(lambda: time.monotonic() > end, what="what was on its way")
-    harness.seen.clear()
-    end = time.monotonic() + duration
-    harness.wait(lambda: time.monotonic() > end and len(harness.seen) > 20, what="states")
-    return np.array([each.position[0] for each in harness.seen])
+    states = harness.heard_from_now(duration, "joint_states", least=20)
+    return np.array([each.position[0] for each in states])
 
 
 def wait_for_rest(harness, within=30.0):

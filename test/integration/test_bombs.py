@@ -10,8 +10,7 @@ from pathlib import Path
 
 import lz4.frame
 import pytest
-from harness.bags import convert, small_log, write_bag
-from harness.mcap_files import write_mcap
+from harness.bags import convert, small_log, write_bag, write_mcap
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 

@@ -9,7 +9,7 @@ from harness.bags import command as command_of
 from harness.bags import state as state_of
 from harness.bags import trajectory as trajectory_of
 from harness.bags import write_bag
-from harness.excitation import excited_run, multisine
+from harness.motions import excited_run, multisine
 
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import DONE, FAILED

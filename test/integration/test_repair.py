@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from harness.bag_reader import BagReader
+from harness.bags import BagReader
 from harness.graph import ros_arguments
 from harness.studies import wait_until
 from mcap.reader import make_reader

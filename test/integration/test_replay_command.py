@@ -4,8 +4,16 @@ import shutil
 
 import pytest
 import yaml
-from harness.bag_reader import BagReader
-from harness.bags import FLOATS, JOINT_STATE, MS, convert, floats, parameter_event, serialised
+from harness.bags import (
+    FLOATS,
+    JOINT_STATE,
+    MS,
+    BagReader,
+    convert,
+    floats,
+    parameter_event,
+    serialised,
+)
 from harness.experiments import write_experiment
 from harness.loops import loop_settings
 from harness.studies import compared

@@ -5,8 +5,7 @@ import signal
 import sys
 
 import pytest
-from harness.chores import LOCK, behind_a_lock, deadly, faulty
-from harness.interrupts import heeded_interrupts
+from harness.chores import LOCK, behind_a_lock, deadly, faulty, heeded_interrupts
 
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.processes import processors, raise_if_interrupted, side_by_side, uninterrupted

@@ -138,24 +138,6 @@ def test_one_joint_is_retuned_and_the_step_is_undone(open_page, server):
     assert server.next() == [(NODES[0], {"gains.p": 320.0, "gains.i": 1600.0, "gains.d": 16.0})]
 
 
-def test_three_joints_at_once_and_one_that_refuses(open_page, server):
-    page = open_page()
-    choose(page, 1, 2, 3)
-    type_into(page, "homogeneity degree", -0.3)
-    apply(page)
-    assert server.next(3) == [(node, {"mu": -0.3}) for node in NODES]
-    page.get_by_text(re.compile("chosen, not sent")).wait_for(state="hidden")
-    server.refusals[NODES[1]] = "mu = -0.4 is not certified stable; certified degrees: none"
-    type_into(page, "homogeneity degree", -0.4)
-    apply(page)
-    assert server.next(5)[3:] == [(NODES[0], {"mu": -0.3}), (NODES[2], {"mu": -0.3})]
-    logged(page, "arm_joint_2 refused: mu = -0.4 is not certified stable")
-    server.refusals.clear()
-    discard(page)
-    page.get_by_role("button", name="Undo").click()
-    assert server.next(3) == [(node, {"mu": -0.2}) for node in NODES]
-
-
 def test_snapshots_and_files_are_kept_and_come_back_to(open_page, server, tmp_path):
     page = open_page()
     page.get_by_role("tab", name="Save").click()

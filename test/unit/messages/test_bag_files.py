@@ -9,11 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness.bag_reader import BagReader
-from harness.bags import JOINT_STATE, MS, command, convert, small_log, state, write_bag
-from harness.bags import TYPES as ROS_TYPES
+from harness.bags import (
+    JOINT_STATE,
+    KINDS,
+    MS,
+    TYPES,
+    BagReader,
+    command,
+    convert,
+    small_log,
+    state,
+    write_bag,
+    write_mcap,
+)
 from harness.examples import examples
-from harness.mcap_files import TYPES, write_mcap
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
@@ -169,7 +178,7 @@ def split(folder: Path, log, *options: dict) -> Path:
     counts = "".join(
         f"    - topic_metadata: {{name: /{name}}}\n"
         f"      message_count: {sum(each[0] == name for each in log)}\n"
-        for name in TYPES
+        for name in KINDS
     )
     (folder / "metadata.yaml").write_text(
         "rosbag2_bagfile_information:\n"
@@ -424,7 +433,7 @@ def test_large_messages_keep_their_order(tmp_path):
     path = tmp_path / "bag"
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         # In the order of the numbers the names are not sorted.
-        topics = [writer.add_connection(f"/{k}", JOINT_STATE, typestore=ROS_TYPES) for k in "ba"]
+        topics = [writer.add_connection(f"/{k}", JOINT_STATE, typestore=TYPES) for k in "ba"]
         for k in range(120):
             writer.write(topics[k % 2], k, bytes([k]) * (200_000 if k % 3 == 0 else 90 * k))
     found, unreadable = in_order(path / "bag.db3")

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from harness.bag_reader import BagReader
-from harness.bags import JOINT_STATE, MS, bits
-from harness.interrupts import heeded_interrupts
+from harness.bags import JOINT_STATE, MS, BagReader, bits
+from harness.chores import heeded_interrupts
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader

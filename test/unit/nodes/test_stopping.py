@@ -1,15 +1,25 @@
-"""Stops: constant decelerations within limits, whoever else stops at the same time."""
+"""Stops: decelerations within limits, whoever else stops, and those of a goal that is followed."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from harness.groups import MS, SECOND, SimulatedGroup, at_rest, goal, moving, started
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column
-from hpid_ros.nodes.parts.goals import LEAD_NS, Braking, coast_down, return_to, stop_together
+from hpid_ros.nodes.parts.goals import (
+    LEAD_NS,
+    Braking,
+    JointFacts,
+    ResultCode,
+    coast_down,
+    return_to,
+    stop_together,
+)
 
-MS = 1_000_000
-SECOND = 1_000_000_000
 LEAD = LEAD_NS / SECOND
 SPEEDS = st.floats(-3.0, 3.0, allow_subnormal=False)
 DECELERATIONS = st.floats(0.5, 30.0)
@@ -109,3 +119,115 @@ def test_stopping_together_changes_nobodys_stop(joints):
             assert together.sample(stamp_ns)[:2] == pytest.approx(
                 meant.sample(stamp_ns)[:2], abs=1e-8
             )
+
+
+# --- of a goal that is followed
+
+
+@settings(max_examples=10)
+@given(st.floats(0.1, 0.9), st.floats(2.0, 20.0), st.integers(0, 9), st.integers(0, 20))
+def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(at, most, seed, most_delay):
+    name = "max_deceleration_on_cancel"
+    group = SimulatedGroup(
+        seed=seed,
+        most_delay=most_delay,
+        **{f"constraints.shoulder.{name}": most, f"constraints.elbow.{name}": 0.5 * most},
+    )
+    group.run(0.2)
+    group.begin(moving())
+    group.run(at)
+    now = group.stamp_ns / SECOND
+    group.cancel()
+    assert group.results == [(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")]
+    assert not group.follower.is_active
+    group.run(0.05 + 1.6 / (0.5 * most) + 0.6)
+    for joint, limit in enumerate((most, 0.5 * most)):
+        stamps, reference, velocity, _, _ = group.logged(joint)
+        after = stamps > now + 0.051
+        # A controller that took the goal up late glides onto it still; that comes on top.
+        glide = 0.025 * most_delay  # [rad/s^2]
+        assert np.abs(np.diff(velocity[after])).max(initial=0.0) <= (limit + glide) * 1e-3
+        assert velocity[-1] == 0.0
+        assert np.abs(np.diff(reference)).max() < 2e-3
+        assert np.ptp(reference[stamps > stamps[-1] - 0.3]) < 1e-12  # rounding
+
+
+@settings(max_examples=10)
+@given(st.floats(0.1, 0.9), st.floats(0.001, 0.2))
+def test_a_stop_never_passes_a_position_limit(at, room):
+    most = {"constraints.shoulder.max_deceleration_on_cancel": 0.5}
+    group = SimulatedGroup(("shoulder",), **most)
+    group.run(0.2)
+    group.begin(goal({"shoulder": [0.0, 1.0]}, [0.0, 1.0], {"shoulder": [0.0, 0.0]}))
+    group.run(at)
+    upper = group.loops[0].reference[0] + room
+    # No goal leads beyond a limit; this one does, once it is under way.
+    group.follower.settings = replace(group.settings, facts=(JointFacts(upper=upper),))
+    group.cancel()
+    (told,) = group.told[1:]
+    assert told.arrays[0].max() <= upper
+    stop = told.column(0).start(group.stamp_ns, 0.0)
+    path = [stop.sample(told.stamp_ns + k * MS).position for k in range(3000)]
+    assert max(path) <= upper + 1e-12
+    assert path[-1] == path[-2]
+
+
+def test_controllers_take_the_stop_of_a_goal_that_led_to_the_end_of_the_numbers():
+    group = SimulatedGroup(("shoulder",), **{"constraints.shoulder.goal": 0.1})
+    group.run(0.2)
+    group.begin(goal({"shoulder": [1e9]}, [1e-9]))
+    group.run(0.2)
+    group.cancel()
+    _, told = group.told
+    assert max(np.abs(each).max() for each in told.arrays[:2]) == 1e9  # beyond, it is refused
+
+
+def test_leaving_ends_the_goal_and_stops():
+    group = started()
+    group.run(0.5)
+    group.note(group.follower.leave("the node ends"))
+    assert group.results == [(ResultCode.INVALID_GOAL, "the node ends")]
+    group.run(1.5)
+    assert [loop.reference[1] for loop in group.loops] == [0.0, 0.0]
+    assert group.follower.leave("again") == (None, None)
+    assert group.follower.cancel() == (None, None)
+
+
+def test_a_goal_gives_way_to_another_trajectory_and_stops_only_the_joints_that_it_does_not_name():
+    group = started(allow_partial_joints_goal=True)
+    group.run(0.5)
+    group.loops[1].follow(Setpoint(0.7))
+    group.note(group.follower.yield_joints(["elbow", "of another robot"]))
+    (result,) = group.results
+    assert result == (ResultCode.INVALID_GOAL, "another node has sent a trajectory for elbow")
+    assert group.told[-1].names == ("shoulder",)
+    group.run(1.5)
+    assert [loop.reference for loop in group.loops][1] == (0.7, 0.0)
+    assert group.loops[0].reference[1] == 0.0
+    assert abs(group.loops[0].reference[0]) < 0.9  # of 1.0
+    group.begin(goal({"elbow": [0.7]}, [0.5], at_rest({"elbow": [0.7]})))
+    group.run(2.0, until=lambda: len(group.results) > 1)
+    assert group.results[-1].code is ResultCode.SUCCESSFUL
+
+
+def test_of_two_trajectories_at_the_same_time_none_is_followed():
+    group = started(allow_partial_joints_goal=True)
+    group.run(0.09)
+    group.loops[1].follow(Setpoint(0.7))  # this one heard the other last
+    group.note(group.follower.yield_joints(["elbow"]))
+    (result,) = group.results
+    assert result.code is ResultCode.INVALID_GOAL
+    assert result.text.endswith("for elbow at the same time: the joints stop")
+    assert set(group.told[-1].names) == {"shoulder", "elbow"}
+    group.run(1.5)
+    assert [loop.reference[1] for loop in group.loops] == [0.0, 0.0]
+    ends = [loop.reference[0] for loop in group.loops]
+    assert ends == pytest.approx([0.0, 0.0], abs=0.3)  # neither 1.0, where the goal led, nor 0.7
+
+
+def test_trajectories_of_other_joints_and_without_a_goal_are_nobodys_business():
+    group = started()
+    assert group.follower.yield_joints(["of another robot"]) == (None, None)
+    assert group.follower.is_active
+    group.cancel()
+    assert group.follower.yield_joints(["elbow"]) == (None, None)

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from harness.excitation import excited_run, multisine, reference_column
 from harness.loops import loop_settings
+from harness.motions import excited_run, multisine, reference_column
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import find_resource
