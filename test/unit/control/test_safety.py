@@ -485,13 +485,13 @@ def random_values(draw):
 
 
 @pytest.mark.slow
-def test_ten_thousand_sets_between_samples_are_active_whole_or_not_at_all(faults):
+def test_thousands_of_sets_between_samples_are_active_whole_or_not_at_all(faults):
     draw = random.Random(1)
     present = {"joint": "j", "law": "pid", "gains.p": 10.0, "gains.i": 4.0, "gains.d": 2.0}
     loop = JointLoop(LoopSettings.from_parameters(present))
     loop.follow(Setpoint(0.4))
     counts = {"valid": 0, "refused": 0}
-    for k in range(10_000):
+    for k in range(3_000):
         position, velocity = 0.3 * math.sin(0.01 * k), 3.0 * math.cos(0.01 * k)
         try:
             settings_now = LoopSettings.from_parameters({**present, **random_values(draw)})
@@ -516,7 +516,7 @@ def test_ten_thousand_sets_between_samples_are_active_whole_or_not_at_all(faults
         elif settings_now.effort.effort_rate_max > 0.0:
             allowed = settings_now.effort.effort_rate_max * 0.001 + 1e-9
             assert abs(effort - before) <= allowed or effort in (low, high)
-    assert min(counts.values()) > 1000
+    assert min(counts.values()) > 300
     for verdict, count in counts.items():
         faults.count(f"parameter sets: pure loop, {verdict}", count)
 

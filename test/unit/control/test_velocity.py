@@ -155,12 +155,12 @@ def test_no_sequence_of_periods_and_bandwidths_makes_the_error_grow(
 
 
 @pytest.mark.parametrize("degree", [0.0, LEAST_OBSERVER_DEGREE, LARGEST_OBSERVER_DEGREE])
-@pytest.mark.parametrize("bandwidth", [1.0, 1000.0, 1e4])
+@pytest.mark.parametrize("bandwidth", [1.0, 1e4])
 def test_a_long_run_of_noise_and_jitter_stays_within_what_the_noise_is(bandwidth, degree):
     chance = random.Random(1)
     each = observer(bandwidth, degree=degree)
     largest = 0.0
-    for k in range(10_000):
+    for k in range(3_000):
         late = chance.random() < 0.01
         dt = 0.08 * chance.random() if late else PERIOD * chance.uniform(0.2, 3.0)
         each.update(chance.uniform(-1e-3, 1e-3), None, dt if k else 0.0)

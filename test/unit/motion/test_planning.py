@@ -177,12 +177,11 @@ def planned(values):
 
 
 def test_a_document_says_the_whole_task():
-    trajectory, plan = planned(document(settle=0.5))
-    assert set(trajectory.joint_names) == {*WHEELS, *ARM.joints}
-    assert [goal.name for goal in plan.goals] == ["b"]
     believed = {"brick": "b", "pick": {"yaw": 0.2}, "place": {"position": [0.2, 0.8, 0.18]}}
-    _, other = planned(document(bricks=[believed]))
-    assert other.goals[0].pick == Placement((0.9, 0.0, 0.18), 0.2)
+    trajectory, plan = planned(document(settle=0.5, bricks=[believed]))
+    assert set(trajectory.joint_names) == {*WHEELS, *ARM.joints}
+    (goal,) = plan.goals
+    assert (goal.name, goal.pick) == ("b", Placement((0.9, 0.0, 0.18), 0.2))
 
 
 def test_any_other_reference_is_what_it_was():

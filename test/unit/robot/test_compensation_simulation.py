@@ -81,15 +81,15 @@ def test_on_the_rolling_base_every_arm_joint_does_so_too():
     """With filtered velocities, and wheels that spin the robot: 3 mrad of 0.2 rad."""
     values = {**UNIT, **ROLLING, "velocity_filter_time_constant": 0.005}
     loops = [settings(joint, **values, compensation="decoupling") for joint in JOINTS]
-    found = run(SMOOTH, loops, dict.fromkeys(JOINTS, 0.2), 0.4, fixed_base=False)
-    expected = step_of_a_unit_double_integrator(0.2, 0.4, velocity_filter_time_constant=0.005)
+    found = run(SMOOTH, loops, dict.fromkeys(JOINTS, 0.2), 0.3, fixed_base=False)
+    expected = step_of_a_unit_double_integrator(0.2, 0.3, velocity_filter_time_constant=0.005)
     assert np.max(np.abs(found - expected[:, None])[:, 2:]) < 3e-3
 
 
 def test_gravity_compensation_alone_holds_the_arm():
-    """Without any gain and without friction it drifts by less than 2 mrad in a second."""
-    held = run(SMOOTH, [settings(joint, compensation="gravity") for joint in JOINTS], {}, 1.0)
-    assert np.max(np.abs(held)) < 2e-3
+    """Without any gain and without friction it drifts by less than 1 mrad in 0.6 s."""
+    held = run(SMOOTH, [settings(joint, compensation="gravity") for joint in JOINTS], {}, 0.6)
+    assert np.max(np.abs(held)) < 1e-3
     falling = run(SMOOTH, [settings(joint) for joint in JOINTS], {}, 0.5)
     assert np.max(np.abs(falling)) > 0.3
 

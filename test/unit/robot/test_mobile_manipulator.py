@@ -142,7 +142,7 @@ def test_the_robot_at_rest_sags_a_little_and_does_not_creep():
         start = world.base_pose().position
         hold(world, 0.5)
         settled, joints = world.base_pose().position, world.true_positions()
-        hold(world, 0.3)
+        hold(world, 0.2)
         assert math.dist(world.base_pose().position, settled) < 1e-5
         assert math.dist(settled, start) < 1e-3
         assert np.abs(np.subtract(world.true_positions(), joints)).max() < 1e-5
@@ -157,5 +157,5 @@ def test_the_robot_does_not_tip_with_the_payload_at_full_reach(turn: float):
         base = world.base_pose().position
         assert math.dist(tool[:2], base[:2]) > 0.65
         tilts = []
-        hold(world, 0.5, lambda: tilts.append(tilt(world)))
+        hold(world, 0.3, lambda: tilts.append(tilt(world)))
         assert max(tilts) < 0.01

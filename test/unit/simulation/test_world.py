@@ -1,13 +1,10 @@
 """The simulated robot against mechanics, whatever engine it has; to the last bit; refusals."""
 
-import hashlib
 import math
-import platform
 import re
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.metadata import version
 from itertools import pairwise
 
 import numpy as np
@@ -117,7 +114,7 @@ def simulated_swing(physics_steps: int, periods: int) -> np.ndarray:
 
 def test_a_swing_converges_to_the_equations_of_motion_with_the_physics_step(engine):
     description = RobotDescription.load(frictionless())
-    periods = 300
+    periods = 200
     exact = Reference(description, rotors=engine == "pybullet").swing(  # which has no armature
         np.array(START), lambda period: efforts_of(description, period), periods
     )
@@ -308,14 +305,14 @@ def test_rotors_turn_about_their_joints_axes_and_are_added_for_bullet_only():
 
 def test_two_worlds_fed_the_same_give_the_same_to_the_last_bit_looked_at_or_not():
     generator = np.random.default_rng(7)
-    efforts = generator.normal(0.0, 3.0, (150, 8)).tolist()
+    efforts = generator.normal(0.0, 3.0, (80, 8)).tolist()
 
     def run(world: World, *, is_looked_at: bool = False) -> list[tuple[float, ...]]:
         readings = []
         for period, effort in enumerate(efforts):
-            if period == 30:
+            if period == 20:
                 world.apply_wrench("base_link", (5.0, 3.0, 0.0), (0.0, 0.0, 1.0), 20 * MILLISECOND)
-            if period == 60:
+            if period == 50:
                 world.set_payload(1.0)
             if is_looked_at:
                 world.base_velocity()
@@ -332,10 +329,7 @@ def test_two_worlds_fed_the_same_give_the_same_to_the_last_bit_looked_at_or_not(
         assert run(w) == once
 
 
-MUJOCO_BITS = "2a41e5a3bef9e6ab4f635c2cf661ff7660fd340381d622add5fc5fdc63d3add1"
-"""Of mujoco 3.17.0, x86-64 with FMA."""
-
-
+@pytest.mark.slow
 def test_another_process_gives_the_same_to_the_last_bit(engine: str):
     program = (
         "import sys; from harness import worlds; print(*worlds.bits_of_a_motion(sys.argv[1]))"
@@ -351,15 +345,6 @@ def test_another_process_gives_the_same_to_the_last_bit(engine: str):
     assert printed.split() == bits_of_a_motion(engine)
     assert "nan" not in printed
     assert len(printed.split()) == 15
-
-
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="other machines round otherwise")
-def test_mujoco_still_gives_the_bits_of_the_docs(engine: str):
-    """If another version does not, measure the tables of docs/models.md anew."""
-    if engine != "mujoco":
-        pytest.skip("PyBullet's last version is old, and pinned")
-    bits = " ".join(bits_of_a_motion(engine)).encode()
-    assert hashlib.sha256(bits).hexdigest() == MUJOCO_BITS, f"mujoco {version('mujoco')}"
 
 
 def test_a_robot_that_cannot_be_loaded_is_one_clear_line(
