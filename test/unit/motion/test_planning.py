@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from harness.places import URDF
+from harness.worlds import URDF, WHEELS
 
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.motion.bricks import BrickGoal, Placement, PlanOptions, TaskRobot, plan_bricks
@@ -18,7 +18,6 @@ from hpid_ros.robot.kinematics import Kinematics, rotation_angles
 pytestmark = pytest.mark.slow
 
 ROBOT = RobotDescription.load(URDF)
-WHEELS = ("wheel_left_joint", "wheel_right_joint")
 ARM = Kinematics(ROBOT, "payload")
 FOLDED = {"arm_joint_2": -0.6, "arm_joint_3": 1.9, "arm_joint_5": math.pi - 1.3}
 AT_REST = [FOLDED.get(joint, 0.0) for joint in ARM.joints]

@@ -4,9 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from harness.worlds import HOME, JOINTS, URDF
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import share_folder
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.robot.compensation import (
@@ -24,10 +24,8 @@ from hpid_ros.simulation.world import World
 
 pytestmark = pytest.mark.slow
 
-ROBOT = (share_folder() / "urdf" / "mobile_manipulator.urdf").read_text()
+ROBOT = URDF.read_text()
 SMOOTH = re.sub(r'friction="[0-9.]+"', 'friction="0"', ROBOT)  # no Coulomb friction
-JOINTS = tuple(RobotDescription.load(ROBOT).joints)
-START = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
 UNIT = {"gains.p": 300.0, "gains.i": 1000.0, "gains.d": 30.0}  # three poles at -10 rad/s
 ROLLING = {"model.left_wheel": "wheel_left_joint", "model.right_wheel": "wheel_right_joint"}
 
@@ -37,7 +35,7 @@ def settings(joint, **values):
     return LoopSettings.from_parameters({"joint": joint, "law": "pid", **filtered, **values})
 
 
-def run(robot, loops, steps, seconds, fixed_base=True, start=START, models=None):
+def run(robot, loops, steps, seconds, fixed_base=True, start=HOME, models=None):
     """Return how far all joints are from their start, in [rad], shape (samples, joints)."""
     world_settings = WorldSettings(
         robot_description=robot,

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from harness.engines import needs_bullet
-from harness.places import URDF
+from harness.worlds import ARM, HOME, JOINTS, URDF, WHEELS
 
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
@@ -18,10 +18,6 @@ from hpid_ros.simulation.world import World
 
 pytestmark = pytest.mark.slow
 
-WHEELS = ("wheel_left_joint", "wheel_right_joint")
-ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))
-JOINTS = WHEELS + ARM
-HOME = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
 STRETCHED = {"arm_joint_2": math.pi / 2}
 PAYLOAD_LIMIT = 2.0  # [kg]
 # A stiff joint controller, by joint: [N m/rad] and [N m s/rad].

@@ -4,16 +4,13 @@ import math
 from dataclasses import replace
 
 import pytest
-from harness.places import URDF
+from harness.worlds import ARM, HOME, MILLISECOND, URDF
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.simulation.settings import Disturbances, PayloadChange, WorldSettings, WrenchPulse
 from hpid_ros.simulation.world import World
 
-ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))
-MILLISECOND = 1_000_000  # [ns]
 PUSH = {"link": "tool0", "force": (5.0, 0.0, 8.0), "torque": (0.0, 0.3, 0.0)}
-HOME = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
 SETTINGS = WorldSettings(URDF, ARM, fixed_base=True, initial_positions=HOME)
 SCHEDULE = Disturbances(
     (PayloadChange(0.06, 0.4), PayloadChange(0.02, 1.5)),

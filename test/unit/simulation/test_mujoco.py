@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from harness.engines import needs_bullet
-from harness.places import URDF
-from harness.worlds import bits_of_a_motion
+from harness.worlds import JOINTS, URDF, bits_of_a_motion
 
 from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.base.files import find_resource
@@ -23,8 +22,6 @@ from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 
 ROBOT = RobotDescription.load(URDF)
-JOINTS = tuple(ROBOT.joints)
-WHEELS = ("wheel_left_joint", "wheel_right_joint")
 SETTINGS = WorldSettings(URDF, JOINTS, engine="mujoco")
 OTHERS = ("pybullet_data/kuka_iiwa/model.urdf", "pybullet_data/franka_panda/panda.urdf")
 BITS = "2a41e5a3bef9e6ab4f635c2cf661ff7660fd340381d622add5fc5fdc63d3add1"
