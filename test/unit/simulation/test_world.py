@@ -166,24 +166,6 @@ def test_friction_holds_below_breakaway_and_lets_go_above(engine):
     assert moved == pytest.approx(0.5 * 0.05 * friction / inertia * 0.5**2, rel=0.5)
 
 
-def test_friction_brings_a_wheel_to_rest_as_coulomb_and_viscous_friction_do():
-    description = RobotDescription.load(URDF)
-    joint = description.joints["wheel_left_joint"]
-    inertia = Dynamics(description).joint_inertias(WHEELS, {})["wheel_left_joint"]
-    with World(settings(fixed_base=True, physics_steps=2)) as world:
-        for _ in range(100):
-            world.step([2.0] + [0.0] * 7)
-        speeds = [world.true_velocities()[0]]
-        for _ in range(2000):
-            world.step([0.0] * 8)
-            speeds.append(world.true_velocities()[0])
-    rate = joint.damping / inertia
-    stop = math.log1p(joint.damping * speeds[0] / joint.friction) / rate
-    assert all(late <= early + 1e-9 for early, late in pairwise(speeds))
-    assert sum(speed > 1e-6 for speed in speeds) * PERIOD == pytest.approx(stop, rel=0.02)
-    assert max(map(abs, speeds[-100:])) < 1e-6
-
-
 def test_an_effort_is_held_to_the_limit_of_the_urdf_and_told_as_applied():
     def after(effort: float) -> tuple[float, ...]:
         with World(settings(fixed_base=True, control_period_ns=333_333)) as world:
