@@ -162,14 +162,6 @@ def test_hpid_is_the_pid_with_its_bandwidth_multiplied(gains, degree, point):
     assert law.integral == pytest.approx(scaled.integral, rel=1e-12)
 
 
-@pytest.mark.parametrize("degree", [-0.49, 0.49])
-def test_at_the_origin_the_unfloored_law_is_at_rest(degree):
-    law = HomogeneousPid(Gains(10.0, 10.0, 10.0), WeightedNorm(degree, 1.0, 1.0))
-    law.restore_integral(0.5)
-    assert law.update(0.0, 0.0, 0.1) == law.integral == 0.5
-    assert math.isfinite(law.update(1e-300, 0.0, 0.1))
-
-
 @given(st.floats(0.0, 0.1), st.floats(-1e-3, 1e-3))
 def test_floor_and_cap_bound_the_multiplier(error, rate):
     law = HomogeneousPid(Gains(1.0, 0.0, 1.0), WeightedNorm(-0.4, 1.0, 1.0), 0.01, 0.05)

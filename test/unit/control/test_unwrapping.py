@@ -207,18 +207,6 @@ def test_a_damping_stop_is_that_of_an_encoder_that_counts(source):
     assert efforts[-1] == 0.0
 
 
-def test_a_damping_stop_gives_nothing_where_no_joint_can_have_come():
-    loop, twin = (loop_on(velocity_source="filtered", velocity_max=20.0) for _ in range(2))
-    for k in range(100):
-        for each in (loop, twin):
-            each.step(k * MS, 2.0 * k * 1e-3)
-    stop, steady = loop.damping_stop(0.5), twin.damping_stop(0.5)
-    for k in range(100, 110):
-        assert stop.step(k * MS, 2.0 * k * 1e-3) == steady.step(k * MS, 2.0 * k * 1e-3) < 0.0
-    assert stop.step(110 * MS, 0.22 + 1.0) == 0.0
-    assert stop.step(111 * MS, 0.222) == pytest.approx(steady.step(111 * MS, 0.222))
-
-
 @pytest.mark.parametrize("glitch", [0.0, 0.05, 1.0, -2.9])
 @pytest.mark.parametrize("first", [3.1365, 3.0897, 2.0])  # it wraps after a glitch, or never
 def test_a_position_that_is_refused_is_no_turn(first, glitch):

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from harness.loops import Joint, drive, loops_with
-from hypothesis import assume, example, given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
@@ -190,17 +190,6 @@ def test_what_is_taken_over_stays_where_nothing_drives_the_joint(position, veloc
     assert each.effort == pytest.approx(-7.0)
 
 
-@given(st.floats(0.02, 5.0), st.floats(0.02, 5.0))
-def test_another_inertia_moves_no_estimate(before, after):
-    assume(abs(before - after) > 1e-3)
-    each = observer(inertia=before)
-    each.note_applied(3.0)
-    each.start_from(0.1, 0.4)
-    each.retune(ObserverDesign(after, 200.0, PERIOD))
-    each.note_applied(3.0)
-    assert each.update(0.1 + 0.4 * PERIOD, None, PERIOD) == pytest.approx(0.4)
-
-
 @pytest.mark.parametrize(
     ("make", "value", "message"),
     [
@@ -356,16 +345,6 @@ def test_with_decoupling_only_what_the_model_does_not_know_is_a_disturbance():
         if k > 300:
             assert loop.estimate[2] == pytest.approx(load, abs=1e-3)
     assert joint.position > 1.5
-
-
-@pytest.mark.parametrize("is_fed", [False, True])
-def test_a_takeover_begins_with_the_active_effort(is_fed):
-    loop, joint = loop_of(Setpoint(0.1), observer__feed_disturbance=is_fed), joint_of(load=-8.0)
-    effort = drive(loop, joint, 3000)[-1]
-    joint.stamp_ns += 500 * MS
-    assert drive(loop, joint, 2) == pytest.approx([effort] * 2, abs=1e-5)
-    assert loop.counts.takeovers == 1
-    assert drive(loop, joint, 300)[-1] == pytest.approx(effort, abs=0.05)
 
 
 def test_a_reset_leaves_nothing_behind():
