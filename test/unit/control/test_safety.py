@@ -417,7 +417,7 @@ def test_every_parameter_is_retuned_in_motion_without_a_kick(name, source):
     for each in loops:
         each.follow(Column("j", (start, end), stamp_ns=1))
     has_velocity = values["velocity_source"] == "measured"
-    for k in range(500):
+    for k in range(450):
         position = 2e-3 * k + 0.02 * math.sin(0.02 * k)
         if k == 400:
             changed = LoopSettings.from_parameters({**values, name: OTHERS[name]})
