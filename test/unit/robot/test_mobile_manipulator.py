@@ -90,11 +90,6 @@ def test_a_link_has_the_inertia_of_its_first_primitive(link: ElementTree.Element
     assert inertial.find("origin").attrib == visual.find("origin").attrib
 
 
-def test_only_primitives_are_drawn_so_that_nothing_must_be_found():
-    shapes = {geometry[0].tag for geometry in ElementTree.parse(URDF).getroot().iter("geometry")}
-    assert shapes == {"box", "cylinder", "sphere"}
-
-
 @pytest.mark.parametrize(
     "load",
     [

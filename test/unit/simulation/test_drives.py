@@ -208,25 +208,6 @@ def test_a_reset_drive_is_a_fresh_one(periods: int, delay: int):
         assert run(used) == run(fresh)
 
 
-def test_a_run_with_everything_on_converges_with_the_physics_step():
-    everything = DriveSettings(
-        replace(MOTOR, gear_efficiency=0.8, coulomb_friction=2e-3, viscous_friction=1e-6)
-    )
-
-    def track(steps: int) -> np.ndarray:
-        with World(on_stand(everything, physics_steps=steps)) as world:
-            positions = []
-            for period in range(80):
-                world.step([2.0 * math.sin(0.05 * period)])
-                positions.append(world.true_positions()[0])
-            return np.array(positions)
-
-    fine = track(64)
-    travel = np.ptp(fine)
-    errors = [np.abs(track(steps) - fine).max() / travel for steps in (4, 16)]
-    assert errors[1] < 0.5 * errors[0] < 0.01
-
-
 def test_drives_that_do_not_fit_are_one_clear_line():
     with pytest.raises(SettingError, match="2 entries for 1 joints"):
         on_stand(DriveSettings(), DriveSettings())
