@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from harness.loops import Joint, drive, loops_with
-from hypothesis import example, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
@@ -188,6 +188,17 @@ def test_what_is_taken_over_stays_where_nothing_drives_the_joint(position, veloc
         seen = each.update(position + k * PERIOD * velocity, None, PERIOD)
         assert seen == pytest.approx(velocity, abs=1e-9)
     assert each.effort == pytest.approx(-7.0)
+
+
+@given(st.floats(0.02, 5.0), st.floats(0.02, 5.0))
+def test_another_inertia_moves_no_estimate(before, after):
+    assume(abs(before - after) > 1e-3)
+    each = observer(inertia=before)
+    each.note_applied(3.0)
+    each.start_from(0.1, 0.4)
+    each.retune(ObserverDesign(after, 200.0, PERIOD))
+    each.note_applied(3.0)
+    assert each.update(0.1 + 0.4 * PERIOD, None, PERIOD) == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize(
