@@ -207,6 +207,7 @@ def is_self(node):
     return is_super or (isinstance(node, ast.Name) and node.id in ("self", "cls"))
 
 
+@functools.cache
 def bound(tree):
     """Return the private names that a class or a file makes: functions, variables, attributes."""
     names = set()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import jsonschema
 import pytest
 
-from hpid_ros.base.errors import ExperimentError, SettingError
+from hpid_ros.base.errors import BagError, ExperimentError, SettingError, unknown_name
 from hpid_ros.base.records import Record, Section, from_mapping, quantity, take_layered
 from hpid_ros.base.schema import json_schema, layered_schema, table
 
@@ -144,3 +144,13 @@ def test_a_table_has_a_row_for_each_key_also_within():
     assert rows["machine.parts.NAME.size"][1:] == ("[1.0, 1.0]", "above 0", "Its edges [m]")
     assert rows["machine.motor.kind"].range == "fast, slow"
     assert "machine.parts.NAME.name" not in rows
+
+
+@pytest.mark.parametrize("letter", ["a", "\x1b"], ids=["letters", "escapes"])
+def test_a_message_is_one_line_that_has_an_end_whatever_a_name_in_it_is(letter):
+    name = 100_000 * letter
+    text = str(BagError(unknown_name("joint", name, [name, "b"])))
+    assert text.isprintable()
+    assert len(text) < 40_000
+    assert text.startswith("unknown joint")
+    assert text.endswith("b")

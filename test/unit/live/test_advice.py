@@ -20,6 +20,7 @@ def adviser():
     return Adviser()
 
 
+@pytest.mark.slow
 def test_the_interval_is_that_of_check_gains(adviser):
     settings = loop_settings("elbow", **{"gains.i": 1500.0})
     *_, advice = adviser.advise(settings, 0.1)

@@ -1,14 +1,12 @@
 """Trajectories of different joints as one: each joint's reference stays what it was."""
 
-import math
-
 import pytest
 from harness.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import TrajectoryError
-from hpid_ros.motion import JointTrajectory, TrajectoryPoint, combined, minimum_jerk, sine, step
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint, combined, minimum_jerk, step
 from hpid_ros.motion.references import reference_from
 
 NUMBERS = st.floats(-10.0, 10.0)
@@ -74,17 +72,6 @@ def test_steps_stay_steps_without_derivatives():
     assert all(not point.velocities for point in whole.points)
     reference = whole.column("a").start(0, 0.0)
     assert [reference.sample(t).position for t in (0, 999_999_998, 1_000_000_000)] == [0, 0, 1]
-
-
-def test_who_ends_earlier_holds():
-    parts = [
-        minimum_jerk([0.0, 1.0], {"a": [0.0, 1.0]}),
-        sine(0.3, {"b": {"amplitude": 1.0, "period": 1.0}}),  # ends in motion
-    ]
-    merged = combined(parts).column("b").start(0, 0.0)
-    end = math.sin(0.6 * math.pi)
-    for time_ns in (300_000_000, 300_000_001, 700_000_000, 1_500_000_000):
-        assert merged.sample(time_ns) == pytest.approx((end, 0.0, 0.0), abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -62,13 +62,6 @@ def test_a_course_uses_its_limits_up_and_nowhere_passes_them(make, limits):
     assert max(require_within(make(limits), limits)) >= 0.97
 
 
-@pytest.mark.parametrize("make", COURSES.values(), ids=COURSES)
-def test_its_derivatives_are_those_of_its_position(make):
-    times, position, velocity, acceleration = dense(make(LIMITS))
-    assert np.gradient(position, times) == pytest.approx(velocity, abs=2e-2)
-    assert np.gradient(velocity, times)[2:-2] == pytest.approx(acceleration[2:-2], abs=1.0)
-
-
 def test_a_multisine_moves_in_its_band_and_starts_softly():
     course = multisine(20.0, (0.5, 2.0), 2.0, LIMITS)
     times, _, velocity, _ = dense(course)
@@ -191,7 +184,7 @@ def test_a_goal_begins_where_references_stand():
     assert settings.tolerances.path["elbow"].position == made.joints[0].tolerance
 
 
-@pytest.mark.parametrize("duration", [4.0, 60.0])
+@pytest.mark.parametrize("duration", [4.0, 30.0])
 def test_a_slow_motion_stops_as_soon_as_a_fast_one(duration):
     """The button's release is a stop, however long the motion was to last."""
     wish = Wish(amplitude=1.0)

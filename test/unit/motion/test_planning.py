@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from harness.places import URDF
+from harness.worlds import URDF, WHEELS
 
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.motion.bricks import BrickGoal, Placement, PlanOptions, TaskRobot, plan_bricks
@@ -18,7 +18,6 @@ from hpid_ros.robot.kinematics import Kinematics, rotation_angles
 pytestmark = pytest.mark.slow
 
 ROBOT = RobotDescription.load(URDF)
-WHEELS = ("wheel_left_joint", "wheel_right_joint")
 ARM = Kinematics(ROBOT, "payload")
 FOLDED = {"arm_joint_2": -0.6, "arm_joint_3": 1.9, "arm_joint_5": math.pi - 1.3}
 AT_REST = [FOLDED.get(joint, 0.0) for joint in ARM.joints]
@@ -177,12 +176,11 @@ def planned(values):
 
 
 def test_a_document_says_the_whole_task():
-    trajectory, plan = planned(document(settle=0.5))
-    assert set(trajectory.joint_names) == {*WHEELS, *ARM.joints}
-    assert [goal.name for goal in plan.goals] == ["b"]
     believed = {"brick": "b", "pick": {"yaw": 0.2}, "place": {"position": [0.2, 0.8, 0.18]}}
-    _, other = planned(document(bricks=[believed]))
-    assert other.goals[0].pick == Placement((0.9, 0.0, 0.18), 0.2)
+    trajectory, plan = planned(document(settle=0.5, bricks=[believed]))
+    assert set(trajectory.joint_names) == {*WHEELS, *ARM.joints}
+    (goal,) = plan.goals
+    assert (goal.name, goal.pick) == ("b", Placement((0.9, 0.0, 0.18), 0.2))
 
 
 def test_any_other_reference_is_what_it_was():

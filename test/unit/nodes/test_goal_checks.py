@@ -68,7 +68,9 @@ def test_what_is_no_trajectory_is_refused(names, code, line):
 @pytest.mark.parametrize(
     ("count", "is_mixed", "line"),
     [
-        (MOST_POINTS, False, "may have 49999 points, not 50000"),
+        pytest.param(
+            *(MOST_POINTS, False, "may have 49999 points, not 50000"), marks=pytest.mark.slow
+        ),
         (MOST_MIXED_POINTS, True, "points differ in their arrays may have 4999 points"),
     ],
 )

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import playwright
 import pytest
-from harness.places import ROOT
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -55,11 +54,6 @@ def test_the_whole_program_can_be_read(tmp_path):
     subprocess.run([NODE, "--check", path], check=True, timeout=HANGS)
     assert "</" not in script()  # it stands in a script element
     assert "</" not in style_sheet()
-
-
-@formed
-def test_style_and_program_are_as_the_formatter_and_the_linter_want_them():
-    subprocess.run([BIOME, "ci", "--colors=off"], cwd=ROOT, check=True, timeout=HANGS)
 
 
 @formed

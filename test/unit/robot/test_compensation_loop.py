@@ -13,7 +13,6 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.assembly import soft_stop_gains
-from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.reference import Setpoint
@@ -192,29 +191,7 @@ def test_decoupled_gains_are_judged_on_inertia_one_whatever_the_joints_is():
         LoopSettings.from_parameters({**parameters, "gains.i": 1e5})
 
 
-def test_parameter_files_keep_the_model_apart_from_none():
-    node = {"joint": "j", **UNIT, "compensation": "decoupling", "model": {"payload": 0.5}}
-    (found,) = settings_from_parameters({"n": {"ros__parameters": node}}, "file").values()
-    assert (found.model.compensation, found.model.payload) == ("decoupling", 0.5)
-    assert LoopSettings.from_parameters(found.to_parameters()) == found
-    plain = LoopSettings.from_parameters({"joint": "j"})
-    assert not any(name.startswith(("model", "compens")) for name in plain.to_parameters())
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"compensation": "magic"}, "none, gravity, decoupling"),
-        ({"compensation": "gravity", "model.payload": -1.0}, "model.payload"),
-        ({"compensation": "gravity", "model.right_wheel": "w"}, "model.left_wheel"),
-        ({"model.paylod": 1.0}, "did you mean 'model.payload'"),
-    ],
-)
-def test_models_that_make_no_sense_are_refused(values, words):
-    with pytest.raises(SettingError, match=words):
-        LoopSettings.from_parameters({"joint": "j", **values})
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("time_constant", "code", "words"),
     [(-1.0, 0, "settle by a factor 0."), (0.0, 1, "would not settle")],

@@ -139,14 +139,6 @@ def test_a_small_turn_loses_no_digits(exponent):
     assert y == pytest.approx(0.75 * heading / 2.0, rel=max(turn**2, 1e-12), abs=1e-18)
 
 
-@given(st.lists(st.tuples(TURNS, TURNS), min_size=1, max_size=8))
-def test_there_and_back_is_where_it_began(readings):
-    back = [*readings[-2::-1], (0.0, 0.0)]
-    odometry = driven(*readings, *back)
-    assert odometry.pose == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-    assert odometry.distance == pytest.approx(0.0, abs=1e-12)
-
-
 def test_only_differences_count_and_wheels_that_stand_change_nothing():
     odometry = Odometry(DRIVE, 100.0, -3.0)
     for _ in range(2):

@@ -75,7 +75,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose(arm):
 
 def test_reachable_targets_are_reached_within_the_limits(arm):
     generator = np.random.default_rng(0)
-    for _ in range(40):
+    for _ in range(15):
         target = arm.pose(within(arm, generator))
         positions = arm.solve(target, HOME)
         assert (positions >= arm.lower).all()

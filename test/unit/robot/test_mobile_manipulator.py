@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from harness.engines import needs_bullet
-from harness.places import URDF
+from harness.worlds import ARM, HOME, JOINTS, URDF, WHEELS
 
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
@@ -18,10 +18,6 @@ from hpid_ros.simulation.world import World
 
 pytestmark = pytest.mark.slow
 
-WHEELS = ("wheel_left_joint", "wheel_right_joint")
-ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))
-JOINTS = WHEELS + ARM
-HOME = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
 STRETCHED = {"arm_joint_2": math.pi / 2}
 PAYLOAD_LIMIT = 2.0  # [kg]
 # A stiff joint controller, by joint: [N m/rad] and [N m s/rad].
@@ -94,11 +90,6 @@ def test_a_link_has_the_inertia_of_its_first_primitive(link: ElementTree.Element
     assert inertial.find("origin").attrib == visual.find("origin").attrib
 
 
-def test_only_primitives_are_drawn_so_that_nothing_must_be_found():
-    shapes = {geometry[0].tag for geometry in ElementTree.parse(URDF).getroot().iter("geometry")}
-    assert shapes == {"box", "cylinder", "sphere"}
-
-
 @pytest.mark.parametrize(
     "load",
     [
@@ -142,7 +133,7 @@ def test_the_robot_at_rest_sags_a_little_and_does_not_creep():
         start = world.base_pose().position
         hold(world, 0.5)
         settled, joints = world.base_pose().position, world.true_positions()
-        hold(world, 0.3)
+        hold(world, 0.2)
         assert math.dist(world.base_pose().position, settled) < 1e-5
         assert math.dist(settled, start) < 1e-3
         assert np.abs(np.subtract(world.true_positions(), joints)).max() < 1e-5
@@ -157,5 +148,5 @@ def test_the_robot_does_not_tip_with_the_payload_at_full_reach(turn: float):
         base = world.base_pose().position
         assert math.dist(tool[:2], base[:2]) > 0.65
         tilts = []
-        hold(world, 0.5, lambda: tilts.append(tilt(world)))
+        hold(world, 0.3, lambda: tilts.append(tilt(world)))
         assert max(tilts) < 0.01

@@ -87,7 +87,7 @@ def test_a_brick_between_the_fingers_is_taken_and_goes_where_the_hand_goes():
         assert world.gripper.move(True, world.time_ns) is None
         assert world.gripper.move(False, world.time_ns).outcome == "released"
         assert world.gripper.move(False, world.time_ns) is None
-        lift(world, 200, raised=0.25)
+        lift(world, 100, raised=0.25)
         (fallen,) = world.gripper.poses()
         assert fallen.position[2] < brick.position[2] - 0.03
 
@@ -107,7 +107,7 @@ def test_a_brick_that_does_not_fit_is_missed_with_the_reason(brick, reason):
         assert event.outcome == "missed"
         assert re.match(reason, event.reason)
         assert world.gripper.held is None
-        lift(world, 100)
+        lift(world, 20)
         (left,) = world.gripper.poses()
         assert left.position == pytest.approx(brick.position, abs=2e-3)
 
@@ -166,7 +166,7 @@ def test_a_held_brick_weighs_on_the_arm():
     with World(SETTINGS) as world, World(workplace(replace(BRICK, mass=1.5))) as loaded:
         for each in (world, loaded):
             each.gripper.move(True, 0)
-            lift(each, 700)
+            lift(each, 450)
         sag = loaded.true_positions()[1] - world.true_positions()[1]
         moment = (1.5 - 0.5) * 9.81 * loaded.link_pose("payload").position[0]
         friction = ROBOT.joints["arm_joint_2"].friction
@@ -193,21 +193,16 @@ def test_a_schedule_does_what_a_person_at_the_same_time_would_do():
 
 
 def test_a_reset_repeats_everything_to_the_last_bit():
-    settings = replace(SETTINGS, workplace=replace(PLACE, schedule=SCHEDULE))
-    with World(settings) as world:
+    with World(replace(SETTINGS, workplace=replace(PLACE, schedule=SCHEDULE))) as world:
         once = lift(world, 200)
         events = list(world.gripper.events)
         world.reset()
         assert world.gripper.events == []
-        assert lift(world, 200) == once
-        world.reset()
-        lift(world, 100)  # and with a brick in the hand
+        lift(world, 100)
         assert world.gripper.held is not None
         world.reset()
         assert lift(world, 200) == once
         assert world.gripper.events == events
-    with World(settings) as fresh:
-        assert lift(fresh, 200) == once
 
 
 @pytest.mark.parametrize("position", [(0.42, 0.0, 0.45), (0.42, 0.0, 0.32), (2.0, 0.0, 0.5)])

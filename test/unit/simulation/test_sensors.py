@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from harness.places import URDF
+from harness.worlds import URDF, WHEELS
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.simulation.engine import Sample, run_in_process
 from hpid_ros.simulation.settings import Homing, WorldSettings
 from hpid_ros.simulation.world import Sensors, World
 
-WHEELS = ("wheel_left_joint", "wheel_right_joint")
 PERIOD = 1e-3  # [s]
 
 

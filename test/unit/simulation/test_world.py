@@ -1,13 +1,10 @@
 """The simulated robot against mechanics, whatever engine it has; to the last bit; refusals."""
 
-import hashlib
 import math
-import platform
 import re
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.metadata import version
 from itertools import pairwise
 
 import numpy as np
@@ -117,7 +114,7 @@ def simulated_swing(physics_steps: int, periods: int) -> np.ndarray:
 
 def test_a_swing_converges_to_the_equations_of_motion_with_the_physics_step(engine):
     description = RobotDescription.load(frictionless())
-    periods = 300
+    periods = 200
     exact = Reference(description, rotors=engine == "pybullet").swing(  # which has no armature
         np.array(START), lambda period: efforts_of(description, period), periods
     )
@@ -167,24 +164,6 @@ def test_friction_holds_below_breakaway_and_lets_go_above(engine):
     inertia = Dynamics(RobotDescription.load(URDF)).joint_inertias(WHEELS, {})[WHEELS[1]]
     assert abs(held) < {"pybullet": 1e-9, "mujoco": 1e-7}[engine]  # in half a second
     assert moved == pytest.approx(0.5 * 0.05 * friction / inertia * 0.5**2, rel=0.5)
-
-
-def test_friction_brings_a_wheel_to_rest_as_coulomb_and_viscous_friction_do():
-    description = RobotDescription.load(URDF)
-    joint = description.joints["wheel_left_joint"]
-    inertia = Dynamics(description).joint_inertias(WHEELS, {})["wheel_left_joint"]
-    with World(settings(fixed_base=True, physics_steps=2)) as world:
-        for _ in range(100):
-            world.step([2.0] + [0.0] * 7)
-        speeds = [world.true_velocities()[0]]
-        for _ in range(2000):
-            world.step([0.0] * 8)
-            speeds.append(world.true_velocities()[0])
-    rate = joint.damping / inertia
-    stop = math.log1p(joint.damping * speeds[0] / joint.friction) / rate
-    assert all(late <= early + 1e-9 for early, late in pairwise(speeds))
-    assert sum(speed > 1e-6 for speed in speeds) * PERIOD == pytest.approx(stop, rel=0.02)
-    assert max(map(abs, speeds[-100:])) < 1e-6
 
 
 def test_an_effort_is_held_to_the_limit_of_the_urdf_and_told_as_applied():
@@ -308,14 +287,14 @@ def test_rotors_turn_about_their_joints_axes_and_are_added_for_bullet_only():
 
 def test_two_worlds_fed_the_same_give_the_same_to_the_last_bit_looked_at_or_not():
     generator = np.random.default_rng(7)
-    efforts = generator.normal(0.0, 3.0, (150, 8)).tolist()
+    efforts = generator.normal(0.0, 3.0, (80, 8)).tolist()
 
     def run(world: World, *, is_looked_at: bool = False) -> list[tuple[float, ...]]:
         readings = []
         for period, effort in enumerate(efforts):
-            if period == 30:
+            if period == 20:
                 world.apply_wrench("base_link", (5.0, 3.0, 0.0), (0.0, 0.0, 1.0), 20 * MILLISECOND)
-            if period == 60:
+            if period == 50:
                 world.set_payload(1.0)
             if is_looked_at:
                 world.base_velocity()
@@ -332,10 +311,7 @@ def test_two_worlds_fed_the_same_give_the_same_to_the_last_bit_looked_at_or_not(
         assert run(w) == once
 
 
-MUJOCO_BITS = "2a41e5a3bef9e6ab4f635c2cf661ff7660fd340381d622add5fc5fdc63d3add1"
-"""Of mujoco 3.17.0, x86-64 with FMA."""
-
-
+@pytest.mark.slow
 def test_another_process_gives_the_same_to_the_last_bit(engine: str):
     program = (
         "import sys; from harness import worlds; print(*worlds.bits_of_a_motion(sys.argv[1]))"
@@ -351,15 +327,6 @@ def test_another_process_gives_the_same_to_the_last_bit(engine: str):
     assert printed.split() == bits_of_a_motion(engine)
     assert "nan" not in printed
     assert len(printed.split()) == 15
-
-
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="other machines round otherwise")
-def test_mujoco_still_gives_the_bits_of_the_docs(engine: str):
-    """If another version does not, measure the tables of docs/models.md anew."""
-    if engine != "mujoco":
-        pytest.skip("PyBullet's last version is old, and pinned")
-    bits = " ".join(bits_of_a_motion(engine)).encode()
-    assert hashlib.sha256(bits).hexdigest() == MUJOCO_BITS, f"mujoco {version('mujoco')}"
 
 
 def test_a_robot_that_cannot_be_loaded_is_one_clear_line(

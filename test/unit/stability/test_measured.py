@@ -69,6 +69,7 @@ def test_another_joint_is_told_from_the_one_computed():
     assert distance(late, measured).median > 0.1
 
 
+@pytest.mark.slow
 def test_mujoco_is_the_computed_joint_within_two_percent():
     """Eight seconds in this process, with 32 physics steps a period; what those leave is T/64."""
     text = find_resource("urdf/mobile_manipulator.urdf").read_text()

@@ -205,6 +205,7 @@ def scale_of(seed):
     return result.estimates["effort_scale"]
 
 
+@pytest.mark.slow
 def test_noise_does_not_bias_the_efforts_scale():
     """Their links' accelerations are as noisy as the rotors'."""
     scales = [scale_of(seed) for seed in range(12)]
@@ -315,6 +316,7 @@ def test_gaps_uneven_stamps_and_stamps_too_close_do_little():
     assert result.time < 30.0
 
 
+@pytest.mark.slow
 def test_intervals_contain_the_truth_as_often_as_they_say():
     plant = Plant()
     hits = dict.fromkeys(NAMES, 0)
