@@ -656,3 +656,11 @@ def test_anti_windup_holds_against_every_limit(strategy, limit):
         for k in range(1000):  # a joint that is held by the hand
             loop.step(k * MS, 0.19, 0.049)
     assert abs(bounded.integral) < 0.6 * abs(runaway.integral)
+
+
+def test_a_joint_is_taken_over_only_where_it_stays_after_a_jump():
+    loop = loop_on(Setpoint(0.5), velocity_max=5.0)
+    run(loop, 0, 200, 0.2)
+    for k, position in enumerate((1.2, 2.4, 3.6)):
+        loop.step((200 + k) * MS, position, 0.0)
+    assert (loop.counts.jumps, loop.counts.takeovers) == (3, 0)
