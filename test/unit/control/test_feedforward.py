@@ -81,34 +81,39 @@ def test_a_planned_weight_takes_the_place_of_the_integral_that_held_it():
     assert loop.feedforward_effort == 0.0
 
 
-def follow_4(loop):
+@pytest.mark.parametrize(
+    ("values", "rest", "integral"),
+    [
+        ({"gains__p": 10.0}, 4.0, 0.0),
+        ({**PID, "i_clamp_min": -1.0, "i_clamp_max": 1.0}, 3.0, -1.0),
+    ],
+)
+def test_what_no_integral_may_give_up_fades_in(values, rest, integral):
+    loop = pure_loop(**{"law": "pid", "takeover_time": 0.2, **values})
+    efforts = at_rest(loop, 0, 10)
     loop.follow(held(4.0, 4.0))
-
-
-def take_over_5(loop):
-    loop.supersede(5.0)
+    efforts += at_rest(loop, 10, 400)
+    assert max(abs(b - a) for a, b in pairwise(efforts)) <= rest / 200 + 1e-6
+    assert efforts[-1] == pytest.approx(rest)
+    assert loop.integral == integral
 
 
 @pytest.mark.parametrize(
-    ("values", "act", "first", "last", "integral"),
+    ("values", "integral"),
     [
-        ({"gains__p": 10.0}, follow_4, 0.0, 4.0, 0.0),
-        ({**PID, "i_clamp_min": -1.0, "i_clamp_max": 1.0}, follow_4, 0.0, 3.0, -1.0),
-        ({"gains__p": 10.0}, take_over_5, 5.0, 0.0, 0.0),
-        ({**PID, "gains__i": 0.0}, take_over_5, 5.0, 0.0, 0.0),
-        ({**PID, "i_clamp_min": -1.0, "i_clamp_max": 1.0}, take_over_5, 5.0, 1.0, 1.0),
+        ({"gains__p": 10.0}, 0.0),
+        ({**PID, "gains__i": 0.0}, 0.0),
+        ({**PID, "i_clamp_min": -1.0, "i_clamp_max": 1.0}, 1.0),
     ],
 )
-def test_what_no_integral_may_take_fades_away(values, act, first, last, integral):
+def test_what_no_integral_may_give_after_a_takeover_fades(values, integral):
     loop = pure_loop(Setpoint(0.0), **{"law": "pid", "takeover_time": 0.2, **values})
     at_rest(loop, 0, 10)
-    act(loop)
+    loop.supersede(5.0)
     efforts = at_rest(loop, 10, 400)
-    fastest = abs(last - first) / 200 + 1e-6
-    assert efforts[0] == pytest.approx(first, abs=fastest)
-    assert max(abs(b - a) for a, b in pairwise(efforts)) <= fastest
-    assert efforts[-1] == pytest.approx(last)
-    assert loop.integral == pytest.approx(integral)
+    assert efforts[0] == pytest.approx(5.0)
+    assert max(abs(b - a) for a, b in pairwise(efforts)) <= (5.0 - integral) / 200 + 1e-6
+    assert efforts[-1] == pytest.approx(integral) == loop.integral
 
 
 def test_the_terms_of_the_last_sample_stay_and_it_is_not_counted_again_where_parameters_are_set():
@@ -170,6 +175,17 @@ def test_where_nothing_moves_the_effort_moves_no_faster_than_its_plan(steps):
         go(60)
     # 10 N m in 0.1 s as planned, and what is kept of some jumps of 10 N m fades in 0.2 s.
     assert max(abs(b - a) for a, b in pairwise(efforts)) <= 0.1 + 0.05 * len(steps) + 0.05 + 1e-6
+
+
+def test_a_single_stamp_from_the_future_leaves_nothing_behind():
+    loop, twin = pure_loop(**PID, **MODEL), pure_loop(**PID, **MODEL)
+    for each in (loop, twin):
+        each.follow(motion(1.0, 3.0))
+        for k in range(500):
+            each.step(k * MS, 1e-3 * k, 1.0)
+    loop.step(60 * SECOND, 0.5, 1.0)
+    for k in range(500, 800):
+        assert loop.step(k * MS, 1e-3 * k, 1.0) == twin.step(k * MS, 1e-3 * k, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,14 @@ def test_floor_covers_encoder_steps_and_sampling():
     assert sampling_floor(norm, period=period, damping_rate=0.0) == 1e-6
 
 
+@pytest.mark.parametrize("degree", [-0.49, -0.2, -0.01])
+@pytest.mark.parametrize("rate", [1.0, 100.0, 240.0])
+def test_floor_keeps_the_sampled_gain_within_a_quarter(degree, rate):
+    floor = sampling_floor(WeightedNorm(degree, 1.0, 0.1), period=1e-3, damping_rate=rate)
+    assert floor == pytest.approx(max(1e-6, (0.25 / (1e-3 * rate)) ** (1.0 / degree)), rel=1e-12)
+    assert 1e-3 * rate * floor**degree <= 0.25 * (1.0 + 1e-9)
+
+
 def test_reference_value_of_the_law():
     law = HomogeneousPid(Gains(12.0, 5.0, 7.0), WeightedNorm(0.2, 1.0, 1.0))
     law.restore_integral(0.25)
@@ -160,6 +168,14 @@ def test_hpid_is_the_pid_with_its_bandwidth_multiplied(gains, degree, point):
     scaled = Pid(Gains(gains.p * lam**2, gains.i * lam**3, gains.d * lam))
     assert law.update(*point, 0.01) == pytest.approx(scaled.update(*point, 0.01), rel=1e-12)
     assert law.integral == pytest.approx(scaled.integral, rel=1e-12)
+
+
+@pytest.mark.parametrize("degree", [-0.49, 0.49])
+def test_at_the_origin_the_unfloored_law_is_at_rest(degree):
+    law = HomogeneousPid(Gains(10.0, 10.0, 10.0), WeightedNorm(degree, 1.0, 1.0))
+    law.restore_integral(0.5)
+    assert law.update(0.0, 0.0, 0.1) == law.integral == 0.5
+    assert math.isfinite(law.update(1e-300, 0.0, 0.1))
 
 
 @given(st.floats(0.0, 0.1), st.floats(-1e-3, 1e-3))

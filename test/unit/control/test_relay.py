@@ -208,6 +208,15 @@ def test_what_is_no_relay_is_refused(name, value):
         replace(ASKED, **{name: value})
 
 
+def test_without_a_relay_every_effort_is_the_law_s_to_the_bit():
+    plain, after = HeldJoint(), HeldJoint()
+    after.begin()
+    after.loop.end_relay("at once")
+    after.run(0.1)
+    plain.run(0.1)
+    assert [row[3] for row in after.rows] == [row[3] for row in plain.rows]
+
+
 @pytest.mark.parametrize("amplitude", [1.0, 2.0, 4.0])
 def test_a_limit_cycle_tells_the_inertia(amplitude):
     joint = HeldJoint()

@@ -1,7 +1,8 @@
 """Settings of a loop: records, round trips, sets that are refused, and a scale in effort."""
 
 import math
-from dataclasses import is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
+from typing import get_type_hints
 
 import pytest
 from harness.examples import examples
@@ -34,6 +35,7 @@ from hpid_ros.control.settings import (
 )
 from hpid_ros.stability.gain_check import kind_of
 
+SCALES = ("norm.error_scale", "norm.rate_weight")
 GROUPS = [
     *(NormSettings, EffortLimits, IntegralLimits, MotionSettings, SoftStop, Timing),
     *(ObserverSettings, FeedforwardSettings, ModelSettings),
@@ -47,10 +49,21 @@ scales = st.floats(1e-2, 1e2)
 errors = st.floats(-10.0, 10.0)
 
 
+def leaves(kind):
+    """Yield the type of every field that is no record itself."""
+    hints = get_type_hints(kind)
+    for each in fields(kind):
+        if is_dataclass(hints[each.name]):
+            yield from leaves(hints[each.name])
+        else:
+            yield hints[each.name]
+
+
 def test_the_settings_hold_each_parameter_once_with_the_tables_default():
     plain = loop_settings(joint="j")
     held = to_parameters(plain)
     assert list(held) == list(PARAMETERS)
+    assert len(list(leaves(LoopSettings))) == len(PARAMETERS)
     assert held == {name: spec.default for name, spec in PARAMETERS.items()} | {"joint": "j"}
     assert plain == LoopSettings("j", Gains(0.0, 0.0, 0.0))
 
@@ -69,10 +82,17 @@ def test_a_parameter_has_a_place_of_its_own(name):
     assert after == LoopSettings.from_parameters(to_parameters(after))
 
 
-def test_parameters_of_a_model_are_told_only_where_there_is_one():
+def test_all_parameters_together_survive_the_round_trip():
+    own_scales = {name: PARAMETERS[name].default for name in SCALES}
+    for values in (
+        {**OTHER_VALUES, **IN_EFFORT, **own_scales},
+        {**OTHER_VALUES, **STOPS, **TURNS, "angle_wraparound": False},
+        OTHER_VALUES,
+    ):
+        found = LoopSettings.from_parameters(values)
+        assert found.to_parameters() == {**to_parameters(loop_settings()), **values}
+        assert LoopSettings.from_parameters(found.to_parameters()) == found
     assert set(loop_settings().to_parameters()) == set(LOOP_PARAMETERS)
-    found = LoopSettings.from_parameters(OTHER_VALUES)
-    assert found.to_parameters() == {**to_parameters(loop_settings()), **OTHER_VALUES}
     assert set(found.to_parameters()) == set(LOOP_PARAMETERS) | set(MODEL_PARAMETERS)
 
 

@@ -57,6 +57,15 @@ def settled(**parameters):
     return joint
 
 
+def test_states_in_time_are_no_timeout():
+    joint = settled()
+    for _ in range(20):
+        joint.wait(0.9 * TIMEOUT, looks=[0.5 * TIMEOUT], gives=True)
+        joint.states()
+    assert joint.fallbacks == []
+    assert joint.loop.counts.silences == 0
+
+
 @pytest.mark.parametrize("looks", [[], [0.06], [0.06, 0.08, 0.1]], ids=["none", "one", "three"])
 def test_a_timeout_is_noted_once_and_the_joint_taken_over_from_the_fallback(looks):
     joint = settled(fallback_effort=1.5)
@@ -74,6 +83,15 @@ def test_a_freeze_of_the_supervisor_too_ends_with_the_active_effort():
     assert joint.states() == pytest.approx(4.0, abs=0.05)
     assert joint.fallbacks == []  # no effort was given
     assert (joint.loop.counts.silences, joint.loop.counts.takeovers) == (1, 1)
+
+
+def test_an_effort_given_just_before_a_state_is_what_the_loop_takes_over_from():
+    joint = settled(fallback_effort=1.5)
+    joint.wait(0.06)
+    joint.note_past_timeout(joint.now)  # nobody has given anything yet
+    assert joint.watchdog.is_silent(joint.now)  # now somebody has
+    assert joint.answer(joint.now, 0.3, 0.0, joint.now) == pytest.approx(1.5, abs=0.05)
+    assert joint.fallbacks == [1.5]
 
 
 def test_a_driver_that_repeats_its_last_state_has_timed_out():
