@@ -61,7 +61,7 @@ class LoopCounts:
     jumps: int = 0  # states rejected because no joint can have moved that far
     missed: int = 0  # states that must have been lost, by the stamps and control_period
     saturated: int = 0  # samples whose effort was limited
-    rejected: int = 0
+    rejected: int = 0  # states that no law answered: faults, and jumps
 
 
 _NO_MODEL = ModelTerm(1.0, 0.0)
@@ -198,6 +198,7 @@ class JointLoop:
             )
         if settings.model != before.model:
             raise SettingError("compensation and its model cannot change while the loop runs")
+        settings.norm_family(settings.degree)  # raises before anything has changed
         self.end_relay("parameters were set")
         law, estimation, following = self._law, self._estimation, self._following
         effort = law.effort
@@ -606,7 +607,7 @@ class JointLoop:
 
     @property
     def model_effort(self) -> float:
-        """What a model added in the last sample, in [N m], before the limits; 0 without one."""
+        """What a model, or an observer's disturbance, added in the last sample, in [N m]."""
         return self._law.model_effort
 
     @property

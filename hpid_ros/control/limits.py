@@ -1,4 +1,4 @@
-"""Limits of position, velocity and effort rate: the last word on an effort."""
+"""Limits of position, velocity and effort rate, the last word on an effort; anti-windup."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ class MotionBounds(NamedTuple):
 
 class MotionLimits:
     r"""Keeps a joint within its positions and velocities, whatever effort is wanted.
+
+    But no faster than ``effort_rate_max`` lets the effort change, which acts after it.
 
     A stop at :math:`q_{max}` is a velocity limit that shrinks with the distance: upwards at most
     :math:`v_{up} = \min(k_s (q_{max} - q), v_{max})` is allowed, which is negative beyond it.

@@ -122,7 +122,7 @@ class Feedforward:
 LARGEST_POSITION = 1e9
 """Positions, velocities and references beyond this [rad, rad/s] are no joint's."""
 
-_HALF = 1e-9  # of a turn: as much more than half of one is half of one
+_HALF = 1e-9  # of a turn: by so little more than half of one it is half of one
 
 
 class Reference(Protocol):
@@ -280,7 +280,7 @@ class Following:
 
     def __init__(self) -> None:
         self.motion: Motion | None = None
-        self.has_waited = False  # for the first state, or a takeover
+        self.has_waited = False  # a setpoint, for the first state or a takeover
         self.turn = self.encoder_turn = 0.0
         self.restart()
 
@@ -297,6 +297,7 @@ class Following:
     def restart(self) -> None:
         """Forget where the reference stands, and start the motion again."""
         self._pending = self.motion
+        self.has_waited = isinstance(self.motion, Setpoint)
         self._reference: Reference | None = None
         self._glide_end_ns: int | None = None
         self._is_first = True
@@ -332,7 +333,7 @@ class Following:
         There must be a reference, see :attr:`has_reference`.
         """
         if self._pending is not None:
-            self._begin(self._pending, stamp_ns, duration)
+            self._begin(self._pending, stamp_ns, duration, limits)
         elif self._glide_end_ns is not None and stamp_ns >= self._glide_end_ns:
             self._reference, self._glide_end_ns = self._onto(), None
         wanted = self._reference.sample(stamp_ns)  # type: ignore[union-attr]
@@ -351,7 +352,9 @@ class Following:
             return 0.0
         return self._reference.effort(stamp_ns)
 
-    def _begin(self, motion: Motion, stamp_ns: int, duration: float) -> None:
+    def _begin(
+        self, motion: Motion, stamp_ns: int, duration: float, limits: MotionLimits | None
+    ) -> None:
         """Turn to a motion: from where the reference stands, or onto it if it is under way."""
         before = self._reference
         assert before is not None
@@ -361,11 +364,13 @@ class Following:
         if self._is_first and is_under_way:
             turn = turn or self.encoder_turn
         self._is_first = False
-        offset = whole_turns(self.position - motion.target(stamp_ns), turn) if turn else 0.0
-        onto = _shifted(motion.start(stamp_ns, self.position - offset, self.velocity), offset)
+        position, velocity, _ = before.sample(stamp_ns)
+        if limits is not None:  # or a glide from beyond a stop would leave it at full speed
+            position, velocity = limits.reference(position, velocity)
+        offset = whole_turns(position - motion.target(stamp_ns), turn) if turn else 0.0
+        onto = _shifted(motion.start(stamp_ns, position - offset, velocity), offset)
         self._reference, self._glide_end_ns = onto, None
         if is_under_way or self.has_waited:
-            position, velocity = before.sample(stamp_ns)[:2]
             self._glide(onto, stamp_ns, position, velocity, duration)
 
     def _onto(self) -> Reference:

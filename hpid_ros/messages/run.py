@@ -105,10 +105,11 @@ def sample_events(
     """Sample the reference of a joint at each of its states.
 
     As in :class:`hpid_ros.control.JointLoop`, a trajectory takes over with the next state (the
-    first that was logged after it) from where the reference stood at the state before, also when
-    its stamp lies ahead. A stamp earlier than that state moves the take-over back to the stamp:
-    a recorder that started late got the latched message later than the controllers. A later
-    message supersedes an earlier one. Before any the joint holds its first position.
+    first that was logged after it) from where the reference is then, also when its stamp lies
+    ahead. A stamp earlier than that state moves the take-over back to the stamp: a recorder that
+    started late got the latched message later than the controllers. A later message supersedes
+    an earlier one. Before any the joint holds its first position. Glides, whole turns and stops
+    are not in it.
     """
     spans: list[_Span] = []
     for event in events:
@@ -119,7 +120,7 @@ def sample_events(
             spans.pop()
         before = ReferenceSample(first_position, 0.0, 0.0)
         if spans:
-            before = spans[-1].reference.sample(int(stamps_ns[begin - 1]))
+            before = spans[-1].reference.sample(int(stamps_ns[begin]))
         spans.append(_span(begin, event.column, int(stamps_ns[begin]), before))
     reference = np.full(len(stamps_ns), first_position)
     end = len(stamps_ns)
@@ -446,7 +447,8 @@ class JointRun:
     def _on_clock(self, log_time_ns: int, place: int, arrays: TrajectoryArrays) -> ReferenceEvent:
         """Return a trajectory with its start carried to the clock of the series."""
         column, header, states = arrays.column(self._joint), self._header_ns, self._samples
-        if self._clock != "header" and column.stamp_ns:
+        is_other = self._clock != "header" or self._selection.separates_runs
+        if is_other and column.stamp_ns:
             following = min(states.first_after(log_time_ns, place), len(header) - 1)
             start_ns = column.stamp_ns + int(states.stamps_ns[following] - header[following])
             if not header.any() or start_ns <= 0:

@@ -1,7 +1,7 @@
 """A run as arrays, and how complete it is.
 
-Stamps are the integer nanoseconds of the states' headers, never the arrival times: a run that
-was slow on the wall clock is the same run.
+Stamps are the integer nanoseconds of the states' headers, so a run that was slow on the wall clock
+is the same run; times of arrival only where clock ``receive`` is asked for, or efforts have none.
 """
 
 from __future__ import annotations

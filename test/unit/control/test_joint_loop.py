@@ -233,12 +233,30 @@ def test_a_loop_cannot_be_retuned_to_another_joint():
         loop_on().retune(settings(joint="k"))
 
 
-def test_a_new_trajectory_takes_over_where_the_reference_stands():
-    loop = loop_on(Setpoint(0.4))
+@pytest.mark.parametrize(
+    ("before", "after", "fastest"),
+    [
+        (Setpoint(0.4), Column("j", (Knot(SECOND, 1.0, 0.0),)), 0.9),
+        (Column("j", (Knot(600 * MS, 1.0, 0.0),)), Column("j", (Knot(SECOND, -0.4, 0.0),)), 2.6),
+        # It waits at the stop; the new one, of rest, is under way, so it is glided onto.
+        (Setpoint(3.0), Column("j", (Knot(MS, 0.0), Knot(SECOND, 0.0)), 200 * MS), 4.51),
+    ],
+    ids=["at rest", "under way", "from a stop"],
+)
+def test_a_new_motion_begins_where_the_reference_is(before, after, fastest):
+    loop = loop_on(position_max=1.2, position_min=-1.2, takeover_time=0.5)
     loop.step(0, 0.0, 0.0)
-    loop.follow(Column("j", (Knot(SECOND, 1.0, 0.0),)))
-    loop.step(MS, 0.1, 0.0)
-    assert loop.reference[0] == pytest.approx(0.4, abs=1e-9)
+    loop.follow(before)
+    speeds = []
+    for k in range(1, 1500):
+        if k == 300:
+            loop.follow(after)
+        here, rate = loop.reference[:2]
+        loop.step(k * MS, here, rate)
+        if k > 1:  # a setpoint is a step
+            speeds.append(abs(loop.reference[1]))
+            assert loop.reference[0] == pytest.approx(here + 1e-3 * rate, abs=5e-5)
+    assert max(speeds) < fastest
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=30))
@@ -249,3 +267,32 @@ def test_missed_samples_are_counted_from_the_stamps(steps):
         stamp_ns += periods * MS
         loop.step(stamp_ns, 0.0, 0.0)
     assert loop.counts.missed == sum(steps) - len(steps)
+
+
+def test_settings_that_no_law_can_be_made_of_change_nothing():
+    loop, twin = (loop_on(Setpoint(0.5), compensation="decoupling") for _ in range(2))
+    for each in (hold(loop, 20), hold(twin, 20)):
+        each.step(20 * MS, 0.1, 0.3)
+    with pytest.raises(SettingError, match="needs the inertia"):
+        loop.retune(
+            settings(
+                compensation="decoupling",
+                norm__effort_scale=3.0,
+                velocity_filter_time_constant=0.1,
+            )
+        )
+    assert [loop.step(k * MS, 0.1, 0.3) for k in range(21, 40)] == [
+        twin.step(k * MS, 0.1, 0.3) for k in range(21, 40)
+    ]
+
+
+def test_a_setpoint_is_glided_onto_once_more_where_a_simulated_clock_begins_again():
+    loop = hold(loop_on(Setpoint(0.5), state_clock="simulated", takeover_time=0.2), 600, 0.5)
+    assert loop.reference[0] == 0.5
+    places = []
+    for k in range(300):
+        loop.step(k * MS, 0.0, 0.0)
+        places.append(loop.reference[0])
+    assert places[0] == 0.0
+    assert max(b - a for a, b in itertools.pairwise(places)) < 0.006
+    assert places[-1] == 0.5

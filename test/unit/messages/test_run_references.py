@@ -29,10 +29,12 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.columns import JointSamples
 from hpid_ros.messages.run import (
     ReferenceEvent,
+    read_run,
     sample_events,
     sample_setpoints,
     setpoint_events,
 )
+from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import Losses
 from hpid_ros.motion import Column, JointTrajectory, Knot, TrajectoryPoint
 
@@ -205,8 +207,8 @@ def references(path: Path, *log: tuple[str, int, bytes], last: int = 7) -> list[
                 (2 * S + 1, ramp("a", t1=10.0)),
                 (4 * S + 1, ramp("b", t0=77.0)),
             ],
-            [0.0, 1.0, 1.0, 10.0, 10.0, 10.0],
-            id="a new one supersedes from where the reference stood before",
+            [0.0, 1.0, 2.0, 10.0, 10.0, 10.0],
+            id="a new one supersedes from where the reference is then",
         ),
         pytest.param(
             [(2 * S + 1, ramp("a", t0=9.0, t1=8.0)), (2 * S + 2, ramp("a", t1=1.0))],
@@ -222,6 +224,33 @@ def references(path: Path, *log: tuple[str, int, bytes], last: int = 7) -> list[
 def test_a_trajectory_takes_over_as_in_the_joint_loop(tmp_path, told, expected):
     log = (trajectory(*each) for each in told)
     assert references(tmp_path / "bag", *log) == expected
+
+
+def test_a_trajectory_of_a_run_that_began_again_starts_in_that_run(tmp_path):
+    one = [state(k * S, a=0.0) for k in range(1, 7)]
+    log = [trajectory(S - 1, ramp("a", stamp_ns=2 * S, t0=0.0, t2=2.0)), *one]
+    for name, stamp_ns, raw in [
+        trajectory(S - 1, ramp("a", stamp_ns=3 * S, t0=2.0, t1=5.0)),
+        *one,
+        command(7 * S, a=0.0),
+    ]:
+        log.append((name, stamp_ns + 10 * S, raw))  # recorded later, with the same stamps
+    bag, selection = write_bag(tmp_path / "bag", log), BagSelection(separates_runs=True)
+    (series,) = read_run(bag, "run", selection=selection).joints
+    assert series.reference.tolist() == [
+        0.0,
+        0.0,
+        1.0,
+        2.0,
+        2.0,
+        2.0,
+        2.0,
+        2.0,
+        2.0,
+        5.0,
+        5.0,
+        5.0,
+    ]
 
 
 def test_a_trajectory_that_controllers_refuse_changes_nothing(tmp_path):

@@ -173,16 +173,27 @@ def test_a_trajectory_is_followed_as_python_follows_it(active, derivatives, stam
         assert found == pytest.approx(loop.reference, abs=1e-12)
 
 
-def test_a_new_trajectory_begins_where_the_reference_is(active):
+def test_a_new_trajectory_begins_where_the_reference_is_as_in_python(active):
     rest, now_ns = [(0.1, 0.0)] * 2, 10**9
-    before = reference_of(active, "elbow", now_ns, rest)
-    active.trajectory("elbow", 0, [500 * MS], [1.0], [0.0])
-    for k in range(1, 900):
-        if k == 300:
-            active.trajectory("elbow", 0, [400 * MS], [-0.4], [0.0])
+    loop = GivenLoop(LOOPS[0]).loop.__class__(LOOPS[0])
+    active.update(now_ns, *rest)
+    loop.step(now_ns, *rest[0])
+
+    def send(time_ns, position, stamp_ns=0):
+        active.trajectory("elbow", stamp_ns, [time_ns], [position], [0.0])
+        point = TrajectoryPoint(time_ns, (position,), (0.0,))
+        loop.follow(JointTrajectory(("elbow",), (point,), stamp_ns).column("elbow"))
+
+    for k in range(1, 1800):
+        if k == 1:
+            send(500 * MS, 1.0)
+        elif k == 300:
+            send(400 * MS, 9.0)  # beyond the stop, where it waits
+        elif k == 900:
+            send(MS, -0.4, now_ns)  # glided onto, as it is under way
         found = reference_of(active, "elbow", now_ns + k * MS, rest)
-        assert found[0] == pytest.approx(before[0] + 1e-3 * before[1], abs=5e-5)
-        before = found
+        loop.step(now_ns + k * MS, *rest[0])
+        assert found == pytest.approx(loop.reference[:2], abs=1e-12)
     assert found == (-0.4, 0.0)
 
 

@@ -1,5 +1,6 @@
 #include "joint.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace {{ package }}
@@ -162,6 +163,13 @@ Reference Joint::asked_for(
   }
   Reference here = follower_.sample(stamp_ns);
   if (is_standing_ && motion.has_new()) {
+    if (its.has_limits) {  // at a stop the reference rests
+      const auto & own = loop_.own;
+      const double inside = std::clamp(here.position + own.passage.turns, own.low, own.high);
+      if (inside != here.position + own.passage.turns) {
+        here = {inside - own.passage.turns, 0.0};
+      }
+    }
     follower_.follow(
       motion.take(), stamp_ns, ahead_ns, here, its.turn, its.lost_turn,
       loop_.settings.takeover_time);
