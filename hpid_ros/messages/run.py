@@ -208,6 +208,7 @@ class JointRun:
             raise SeriesError(f"joint {joint!r}: no state carries its position")
         samples, not_finite = self._finite(taken, "position", "state")
         self._header_ns = samples.stamps_ns
+        self._begun_ns: Integers | None = None  # when runs but the first began, by their states
         self._samples = samples._replace(stamps_ns=self._times(samples))
         if not selection.separates_runs:
             self._require_one_run()
@@ -264,8 +265,10 @@ class JointRun:
         times = samples.stamps_ns if self._clock == "header" else samples.log_times_ns
         if not self._selection.separates_runs:
             return times
-        resets = np.diff(times) <= -_RESET_NS
-        later: Integers = times + _RUN_SPACING_NS * np.concatenate([[0], np.cumsum(resets)])
+        if self._begun_ns is None:
+            self._begun_ns = samples.log_times_ns[1:][np.diff(times) <= -_RESET_NS]
+        runs = np.searchsorted(self._begun_ns, samples.log_times_ns, "right")
+        later: Integers = times + _RUN_SPACING_NS * runs
         return later
 
     def _commands(self) -> tuple[Ordered, str, str]:

@@ -417,5 +417,6 @@ def _settling_time(t: Numbers, progress: Numbers) -> float:
     k = int(outside[-1])
     if k + 1 == t.size:
         return math.inf
-    share = (deviation[k] - SETTLED_WITHIN) / (deviation[k] - deviation[k + 1])
+    level = 1.0 + math.copysign(SETTLED_WITHIN, progress[k] - 1.0)
+    share = (level - progress[k]) / (progress[k + 1] - progress[k])
     return float(t[k] + share * (t[k + 1] - t[k]) - t[0])

@@ -364,7 +364,7 @@ def _totals(joints: Iterable[Indices], missing: Collection[Data]) -> dict[str, f
         if quantity in NORMS or quantity.needs in missing:
             continue
         values = [joint[quantity.key] for joint in numbers if quantity.key in joint]
-        if quantity.fold is Fold.SUM and len(values) < len(numbers):
+        if quantity.fold in (Fold.SUM, Fold.EUCLIDEAN) and len(values) < len(numbers):
             continue  # a sum without one of its joints would be too small
         if values:
             totals[quantity.key] = folded(quantity.fold, values)

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -161,9 +160,16 @@ def _without_gaps(times: Numbers) -> list[Span]:
 
 
 def _overlaps(ones: Sequence[Span], others: Sequence[Span]) -> list[Span]:
-    pairs = product(ones, others)
-    found = (Span(max(a.begin, b.begin), min(a.end, b.end)) for a, b in pairs)
-    return [each for each in found if each.begin < each.end]
+    found, first = [], 0
+    for one in ones:  # both are in order; hours with many gaps have too many pairs to try
+        while first < len(others) and others[first].end <= one.begin:
+            first += 1
+        place = first
+        while place < len(others) and others[place].begin < one.end:
+            other = others[place]
+            found.append(Span(max(one.begin, other.begin), min(one.end, other.end)))
+            place += 1
+    return found
 
 
 class Halves(NamedTuple):

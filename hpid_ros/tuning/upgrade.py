@@ -110,6 +110,7 @@ BALANCED_FLOOR = 0.1
 
 _SHARE_OF_INTERVAL = 0.8
 _STEP = 0.01
+_ROUNDING = 1e-9  # the floor is chosen for this very margin
 _SLOWEST, _FASTEST = 0.5, 2.0  # multipliers of the bandwidth at the floor of the norm
 _LEAST_GAIN = 0.02  # of the goal's index; what is less is not worth another law
 
@@ -283,19 +284,19 @@ def _sampling_remarks(settings: LoopSettings, inertia: float) -> tuple[str, ...]
 
 def _proposal(base: Upgrade, known: float, goal: str, certified: DegreeInterval) -> Upgrade:
     inertia, ends = base.inertia, (certified.lower, certified.upper)
-    chosen, limit = base.settings, "the largest degree that is tried"
+    # The floor that sampling asks for depends on the inertia that is written.
+    start = base.settings if known else replace(base.settings, inertia=inertia[1])
+    chosen, limit = start, "the largest degree that is tried"
     sign = 1.0 if goal == "smooth" else -1.0
     for step in range(1, 50):
         degree = round(sign * step * _STEP, 6)
         try:
-            following = replace(base.settings, mu=degree)
+            following = replace(start, mu=degree)
             excess = _excess(following, ends, inertia[0])
         except NormError as error:  # its floor has no room below the cap
             excess = f"is refused: {error}"
         if excess:
-            which = (
-                "no other degree than 0 qualifies" if chosen is base.settings else "the next one"
-            )
+            which = "no other degree than 0 qualifies" if chosen is start else "the next one"
             limit = f"{which}: {degree:+.2f} {excess}"
             break
         chosen = following
@@ -306,7 +307,6 @@ def _proposal(base: Upgrade, known: float, goal: str, certified: DegreeInterval)
     )
     reasons["law"] = "the homogeneous PID with the same gains"
     if known == 0.0:
-        chosen = replace(chosen, inertia=inertia[1])
         reasons["inertia"] = (
             f"largest of {inertia[0]:.6g} to {inertia[1]:.6g} kg m^2: unstable gains are refused"
         )
@@ -367,7 +367,7 @@ def _excess(settings: LoopSettings, interval: tuple[float, float], inertia: floa
     margin = sampling_margin(
         settings.gains, settings.timing.control_period, max(multiplier, 1.0), inertia
     )
-    if margin > GOOD_SAMPLING_MARGIN and settings.mu < 0.0:
+    if margin > GOOD_SAMPLING_MARGIN * (1.0 + _ROUNDING) and settings.mu < 0.0:
         return f"brings T kd lam / m to {margin:.2f}, above {GOOD_SAMPLING_MARGIN}"
     return ""
 

@@ -22,6 +22,7 @@ from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings import LoopSettings
+from hpid_ros.messages.messages import read_retunes
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries, RunSeries, complete_run
 from hpid_ros.metrics.comparison import Comparison, mismatches
@@ -135,9 +136,11 @@ def _run(
 
 
 def _motion(settings: LoopSettings, series: JointSeries | None, start: float) -> Column:
-    """Return the recorded reference, or a step from where the joint starts, in [rad]."""
+    """Return the recorded reference, none to hold, or without a recording a step, in [rad]."""
     if series is None:
         return Column(settings.joint, (Knot(0, start + settings.norm_family.error_scale),))
+    if not series.has_reference:
+        return Column(settings.joint, (Knot(0, start),))
     stamps = series.state_stamps_ns - series.state_stamps_ns[0]
     return recorded_motion(settings.joint, stamps, series.reference)
 
@@ -393,6 +396,11 @@ def _ran(prediction: Prediction, after: Path) -> tuple[tuple[str, ...], tuple[st
         ]
         if unlike:
             others.append(f"{joint} did not run what was proposed: {', '.join(unlike)}")
+    nodes = {controllers[joint].node for joint in prediction.parameters if joint in controllers}
+    for retune in read_retunes(after):
+        names = {each.partition(" = ")[0] for each in retune.change.split(", ")}
+        if retune.node.rpartition("/")[2] in nodes and names.intersection(_CHECKED):
+            others.append(f"while it ran, {retune.node} was set: {retune.change}")
     return tuple(others), ()
 
 

@@ -1,20 +1,22 @@
 """hpid margins: from a file to a table, a document and a picture."""
 
 import json
+import math
 import re
 
 import pytest
 import yaml
+from harness.bags import MS, write_bag
 from harness.bags import command as command_of
 from harness.bags import state as state_of
 from harness.bags import trajectory as trajectory_of
-from harness.bags import write_bag
 from harness.motions import excited_run, multisine
 
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.control import LoopSettings
+from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.stability.frequency import SampledJoint
 
@@ -164,6 +166,19 @@ def test_a_recorded_excitation_lies_on_the_computed_loop(file, bag, tmp_path, ca
 def test_bad_input_is_one_line_and_exit_code_two(file, bag, changes, arguments, words, refused):
     arguments = [bag if each == "BAG" else each for each in arguments]
     assert words in refused("margins", file(**changes), *arguments)
+
+
+def test_efforts_that_were_only_measured_are_not_taken_for_those_that_were_sent(
+    file, tmp_path, refused
+):
+    points = tuple(TrajectoryPoint(k * MS, (0.1 * math.sin(k),)) for k in range(1000))
+    states = JointStateTemplate(["elbow"], position=True, effort=True)
+    log = [trajectory_of(0, JointTrajectory(("elbow",), points))]
+    for k in range(1000):
+        raw = states.encode(k * MS, position=[0.1 * math.sin(k)], effort=[math.cos(k)])
+        log.append(("joint_states", k * MS, raw))
+    told = refused("margins", file(), "--bag", write_bag(tmp_path / "bag", log))
+    assert "elbow: its efforts are measured, of /joint_states; record the commands" in told
 
 
 def test_nothing_is_overwritten_unasked(file, tmp_path, refused):

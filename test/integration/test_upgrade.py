@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from harness.loops import loop_settings
+from harness.places import URDF
 from harness.runs import indices
 
 from hpid_ros.base.errors import GainError, SettingError
@@ -86,6 +87,17 @@ def test_the_degree_has_the_goals_sign_and_is_certified(goal, sign):
     assert 0.5 <= make_law(settings).norm_floor ** settings.mu <= 2.0
     assert all(found.reasons[name] for name in ("law", "norm.error_scale", "encoder_resolution"))
     assert "certified" in found.reasons["mu"]
+
+
+@pytest.mark.parametrize("period", [0.001, 0.004])
+def test_an_inertia_that_the_file_lacks_is_known_while_the_degree_is_sought(period):
+    """At 1 kg m^2, which a loop without inertia is taken for, the floor would be another one."""
+    values = {"gains": Gains(2667.0, 11852.0, 200.0), "control_period": period}
+    known, unknown = (
+        upgrade(pid(inertia=inertia, **values), (5.0, 5.0), "fast") for inertia in (5.0, 0.0)
+    )
+    assert unknown.settings == known.settings
+    assert 1.0 < make_law(known.settings).norm_floor ** known.settings.mu <= 2.0
 
 
 def test_balanced_gives_all_joints_one_scale_in_units_of_effort():
@@ -359,8 +371,10 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
         assert settings.gains == before[name].gains
         assert settings.encoder.resolution == pytest.approx(math.tau / 16384, rel=1e-4)
     assert main(["check-gains", str(file)]) == DONE
-    for own, words in ((file, "exists"), (parameters, "is an input")):
-        force = ["--force"] if own is parameters else []
+    (urdf := tmp_path / "robot.urdf").write_text(URDF.read_text())
+    command[command.index("--urdf") + 1] = str(urdf)
+    for own, words in ((file, "exists"), (parameters, "is an input"), (urdf, "is an input")):
+        force = [] if own is file else ["--force"]
         assert main([*command[:-1], str(own), *force]) == BAD_INPUT
         assert words in capsys.readouterr().err.splitlines()[-1]
     assert [parameter_file(each).loops for each in (parameters, file)] == [before, after]

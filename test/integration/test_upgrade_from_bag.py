@@ -6,14 +6,25 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from harness.bags import MS, command, odometry, ramp, state, trajectory, write_bag
+from harness.bags import (
+    MS,
+    BagReader,
+    command,
+    odometry,
+    parameter_event,
+    ramp,
+    state,
+    trajectory,
+    write_bag,
+)
 
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.cli.options import parameter_file
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import NoProgress, run_without_ros
-from hpid_ros.messages.storage import PARAMETERS, missed_entries
+from hpid_ros.messages.storage import PARAMETERS, custom_data, missed_entries
+from hpid_ros.messages.writer import BagWriter
 from hpid_ros.tuning.upgrade_prediction import read_prediction
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
@@ -152,6 +163,25 @@ def test_an_after_that_ran_something_else_is_told_even_where_the_numbers_agree(
     said = " ".join(capsys.readouterr().out.split())
     assert "shoulder did not run what was proposed: law 'pid' for 'hpid'" in said
     assert "NOT tested: something else ran (IVC +0.0%, ITAE +0.0%)" in said
+
+
+def test_parameters_that_were_set_while_it_ran_are_something_else(
+    upgraded, after, tmp_path, capsys
+):
+    with (
+        BagReader(after) as old,
+        BagWriter(tmp_path / "bag", metadata=custom_data(after)) as new,
+    ):
+        topics = {each.topic: new.add_topic(each.topic, each.msgtype) for each in old.connections}
+        events = new.add_topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
+        for k, (topic, log_time_ns, raw) in enumerate(old.messages()):
+            new.write(topics[topic], log_time_ns, raw)
+            if k == 2000:
+                new.write(events, log_time_ns, parameter_event("/elbow_controller", mu=0.0))
+    assert verified(upgraded, upgraded / "before", tmp_path / "bag") == FAILED
+    said = " ".join(capsys.readouterr().out.split())
+    assert "while it ran, /elbow_controller was set: mu = 0" in said
+    assert "NOT tested: something else ran" in said
 
 
 def refused(capsys, *arguments):

@@ -28,6 +28,7 @@ from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.messages.run import read_run
+from hpid_ros.messages.series import MEASURED
 from hpid_ros.report.figures import require_picture
 from hpid_ros.report.margins import margin_table, margins_figure
 from hpid_ros.report.plots import render
@@ -175,6 +176,10 @@ def _measured(
     found, reasons = {}, []
     for series in run.joints:
         period = loops[series.joint].timing.control_period
+        source = run.quality.joints[series.joint].effort
+        if source.startswith(MEASURED):  # later than what was sent, by who knows how much
+            reasons.append(f"{series.joint}: its efforts are {source}; record the commands")
+            continue
         try:
             found[series.joint] = measured_joint(series, options.coherence, period)
         except HpidError as error:

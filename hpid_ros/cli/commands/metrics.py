@@ -169,7 +169,8 @@ def refuse_existing(options: argparse.Namespace) -> None:
 def _inputs(options: argparse.Namespace) -> list[Path]:
     """Return all that is read, of which nothing is replaced."""
     named = [*options.bags, *(path for _, *paths in options.group for path in paths)]
-    named += [each for each in (options.baseline, options.params) if each is not None]
+    once = (options.baseline, options.params, options.robot, options.reference)
+    named += [each for each in once if each is not None]
     return [Path(each) for each in named if Path(each).exists()]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from rich.console import Console
@@ -232,7 +233,8 @@ def _verdict(found: Verification) -> Text:
 
 
 def _of_file(options: argparse.Namespace) -> int:
-    inputs = [file for file in (options.file, options.bag) if file is not None]
+    read = [options.file, options.bag, options.urdf, *chain.from_iterable(options.inertia)]
+    inputs = [Path(each) for each in read if each]
     refuse_output(options.output, force=options.force, inputs=inputs, option="-o")
     console, errors = output_console(), TextConsole(stderr=True)
     file = parameter_file(options.file)

@@ -253,6 +253,16 @@ def test_a_trajectory_of_a_run_that_began_again_starts_in_that_run(tmp_path):
     ]
 
 
+def test_commands_of_the_second_run_alone_stay_there(tmp_path):
+    log = [state(k * S, a=0.1 * k) for k in range(1, 7)]
+    for name, stamp_ns, raw in [*log, *(command(k * S, a=float(k)) for k in range(1, 7))]:
+        log.append((name, stamp_ns + 10 * S, raw))
+    bag, selection = write_bag(tmp_path / "bag", log), BagSelection(separates_runs=True)
+    (series,) = read_run(bag, "run", selection=selection).joints
+    assert series.effort.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert series.command_stamps_ns.tolist() == series.state_stamps_ns[6:].tolist()
+
+
 def test_a_trajectory_that_controllers_refuse_changes_nothing(tmp_path):
     good = trajectory(0, ramp("a", t0=1.0))
     message = TYPES.deserialize_cdr(good[2], JOINT_TRAJECTORY)

@@ -288,6 +288,14 @@ def first_order(time_constant, at=1.0, height=1.0, until=4.0):
     return joint(height * (1.0 - np.exp(-after / time_constant)) * (t >= at), reference)
 
 
+@pytest.mark.parametrize(("last", "share"), [(1.0, 0.8), (1.01, 8 / 11), (0.99, 8 / 9)])
+def test_settling_is_on_the_straight_line_between_samples_also_past_the_goal(last, share):
+    progress = np.array([0.0] * 10 + [0.9] + [last] * 990)
+    series = joint(progress, np.array([0.0] * 5 + [1.0] * 996), period_ns=10 * MS)
+    (step,) = find_steps(series)
+    assert step_response(series, step).settling_time == pytest.approx(0.01 * (5 + share))
+
+
 @pytest.mark.parametrize("height", [1.0, -0.4])
 @pytest.mark.parametrize("time_constant", [0.05, 0.2])
 def test_a_first_order_lag_rises_in_ln_nine_time_constants_and_settles_in_ln_fifty(
@@ -451,6 +459,19 @@ def test_each_quantity_folds_over_joints_as_it_says():
         if not any(map(math.isnan, values)):
             expected = by[quantity.fold.value](values)
             assert run.value(quantity) == pytest.approx(expected, rel=1e-12), quantity.key
+
+
+def test_a_total_that_lacks_a_joint_is_not_given_as_that_of_all():
+    t = seconds(2.0)
+    lively = joint(0.1 * t, np.sin(t), np.sin(300.0 * t), "a")
+    stamps = lively.command_stamps_ns
+    slow = dataclasses.replace(
+        lively, joint="b", command_stamps_ns=stamps[::50], effort=lively.effort[::50]
+    )
+    run = run_indices(RunSeries("x", (lively, slow)))
+    assert run.value(QUANTITIES["chatter"], "a") > 0.0
+    assert math.isnan(run.value(QUANTITIES["chatter"], "b"))
+    assert math.isnan(run.value(QUANTITIES["chatter"]))
 
 
 def test_a_joint_without_a_step_does_not_hide_the_one_that_has():

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from harness.places import URDF
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LoopSettings
@@ -84,3 +85,12 @@ def test_a_recording_with_a_hole_is_no_motion_to_simulate(later_ns):
     loops = {"PID": [LoopSettings.from_parameters({"joint": "a", "law": "pid"})]}
     with pytest.raises(SettingError, match=r"'a' has no state for .* s from 1\.000 s on"):
         simulate("no robot is needed", loops, [series])
+
+
+def test_a_joint_whose_reference_was_not_recorded_is_simulated_at_rest():
+    stamps = TIMES_NS
+    none = np.empty(0)
+    series = JointSeries("arm_joint_1", stamps, 0.1 + 0.0 * TIMES, none, stamps, TIMES)
+    loops = {"PID": [LoopSettings.from_parameters({"joint": "arm_joint_1", "law": "pid"})]}
+    (run,) = simulate(URDF.read_text(), loops, [series], fixed_base=True)
+    assert (run.joints[0].reference == 0.1).all()
