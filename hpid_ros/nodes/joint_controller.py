@@ -218,6 +218,7 @@ class JointController(ManagedNode):
     def _stop_listening(self) -> None:
         """Drop the states, and any motion but one that is waited for."""
         self._watchdog.forget()
+        self._is_timeout_reported = False
         for timer in (self._watchdog_timer, self._readiness):
             if timer is not None:
                 self.destroy_timer(timer)
@@ -397,6 +398,11 @@ class JointController(ManagedNode):
         self._stopping.wait_until_acknowledged()
         counts = {"samples": self._loop.counts.samples, "missed": self._loop.counts.missed}
         self._status.send("timing", joint=self.joint, **counts, **self._timing.whole())
+        self._certification.close()
+
+    def destroy_node(self) -> None:
+        """Destroy the node, and the process that certifies, also if it has not begun."""
+        super().destroy_node()
         self._certification.close()
 
 

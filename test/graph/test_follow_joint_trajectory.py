@@ -15,10 +15,12 @@ from harness.goals import (
     SUCCEEDED,
     Client,
     Joints,
+    fill_trajectory,
     goal_of,
     needs_control_msgs,
 )
 from harness.graph import Told
+from trajectory_msgs.msg import JointTrajectory
 
 pytestmark = needs_control_msgs
 
@@ -204,6 +206,24 @@ def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(jo
     joints.is_paused = False
     come_to_rest(joints)
     assert joints.references["shoulder"][-1][1] < 0.9
+
+
+@pytest.mark.faults
+def test_a_joint_that_another_node_took_in_a_silence_is_not_stopped(joints):
+    joints.start(state_timeout=1.0)
+    other = joints.harness.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+    client = Client(joints)
+    handle = client.send(slowly())
+    joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
+    joints.is_paused = True
+    assert client.result(handle)[0] == ABORTED
+    message = JointTrajectory()
+    fill_trajectory(message, {"elbow": [0.7]}, [1.0])
+    other.publish(message)
+    assert client.follow(there())[0] == ABORTED  # by now it has been heard
+    joints.is_paused = False
+    joints.run(lambda: joints.position["elbow"] > 0.69, what="the elbow to go there")
+    assert joints.position["shoulder"] < 0.9
 
 
 @pytest.mark.faults

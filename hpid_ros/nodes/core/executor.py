@@ -553,6 +553,8 @@ def _run_in_context(
             raise supervisor.failure
         if not supervisor.has_cut_effort:
             _stop(executor, nodes, supervisor)
+            if supervisor.failure is not None:  # meanwhile
+                raise supervisor.failure
     except HpidError as error:  # what only the graph shows, for instance a topic's type
         supervisor.request(_refuse(str(error), _exit_code(error)))
     except Exception as error:  # whatever it was, the nodes are closed and their joints left

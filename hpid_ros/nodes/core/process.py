@@ -26,6 +26,7 @@ from rclpy.node import Node
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.records import Record, quantity
+from hpid_ros.nodes.core.middleware import steady_timer
 from hpid_ros.nodes.core.parameters import read
 
 
@@ -42,19 +43,31 @@ class Scheduling(Record):
 
 
 ORDINARY = "ordinary"
+_AGAIN_AFTER = 0.05  # [s]
 
 
 def schedule(node: Node) -> str:
     """Declare the parameters ``realtime_priority`` and ``cpu_affinity``, and do what they say.
 
     Both hold for every thread that the process has, so this is called when the middleware's are
-    there: at the end of a node's construction. Children that a node starts do not inherit the
+    there: at the end of a node's construction, and once more by a timer, as the thread that fires
+    them is the last. Children that a node starts do not inherit the
     priority. A priority that the system refuses is one line in the log, no end of the process.
     """
     asked = read(node, Scheduling)
     if asked.cpu_affinity:
         _pin(asked.cpu_affinity)
-    return _prioritise(node, asked.realtime_priority) if asked.realtime_priority else ORDINARY
+    if not asked.realtime_priority:
+        return ORDINARY
+    scheduling = _prioritise(node, asked.realtime_priority)
+    if not scheduling.startswith(ORDINARY):
+
+        def again() -> None:
+            _prioritise(node, asked.realtime_priority)
+            timer.cancel()
+
+        timer = steady_timer(node, _AGAIN_AFTER, again)
+    return scheduling
 
 
 def _threads() -> list[int]:

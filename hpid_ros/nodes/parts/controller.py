@@ -97,10 +97,21 @@ class ControllerSettings:
     ) -> SetParametersResult:
         if concern_the_loop(changes):
             try:
-                require(self.with_changes(changes))
+                settings = self.with_changes(changes)
+                _require_period(settings, self._node.get_parameter("control_period").value)
+                require(settings)
             except HpidError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+def _require_period(settings: LoopSettings, before: object) -> None:
+    period = settings.timing.control_period
+    if settings.model.is_decoupling and period != before:
+        raise SettingError(
+            f"control_period cannot change to {period:g} s with compensation decoupling, whose "
+            f"effort filter was made for {before:g} s: start the controller with it"
+        )
 
 
 def concern_the_loop(changes: Sequence[Parameter]) -> bool:

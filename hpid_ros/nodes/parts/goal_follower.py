@@ -247,11 +247,14 @@ class GoalFollower:
         """End the active goal because another node has sent its joints a trajectory.
 
         A joint follows the newest trajectory. So those joints are left alone, and the others stop.
+        Without a goal, those that would have been stopped with the next state are not.
         Where two trajectories were sent at once, each controller may have received them in
         another order: all joints of this group stop.
         """
         others = {at: joint for at, joint in enumerate(self._joints) if joint.name in joints}
         self._held_late -= others.keys()
+        if self._active is None and len(others) == len(self._joints):
+            self._has_published = False  # nothing that is followed is of this node
         if self._active is None or not others:
             return Outcome(None, None)
         names = ", ".join(joint.name for joint in others.values())

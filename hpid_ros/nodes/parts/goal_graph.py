@@ -102,7 +102,7 @@ class GroupTopics:
         return set(map(full_name, endpoints)) - {self._node.get_fully_qualified_name()}
 
     def _on_trajectory(self, raw: bytes) -> None:
-        if raw in self._own or not self._follower.is_active:
+        if raw in self._own:
             return
         names, own = named_joints(raw), self._follower.settings.joints
         named = tuple(joint for joint in own if names is None or joint in names)

@@ -115,8 +115,7 @@ class BagRecorder(executor.ClosingNode):
             try:
                 self._record(topic, publishers)
             except HpidError as error:
-                self._status.send("failed", reason=str(error))
-                raise
+                return self._fail(error)
             del self._waiting[0]
             # Importing a type takes long on a busy machine.
             self._looked = self._subscribed = time.monotonic()
@@ -186,13 +185,16 @@ class BagRecorder(executor.ClosingNode):
         try:
             action()
         except BagError as error:
-            if self._failure:
-                return
-            self._failure = str(error)
-            self.get_logger().error(self._failure)
-            self._status.send("failed", reason=self._failure)
-            self._diagnose()
-            self.request_stop(executor.FAILED)
+            self._fail(error)
+
+    def _fail(self, error: HpidError) -> None:
+        if self._failure:
+            return
+        self._failure = str(error)
+        self.get_logger().error(self._failure)
+        self._status.send("failed", reason=self._failure)
+        self._diagnose()
+        self.request_stop(executor.FAILED)
 
     def _report(self) -> None:
         """Put what is waiting into the file, and only then report that it is recorded.

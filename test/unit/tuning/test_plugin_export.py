@@ -108,7 +108,7 @@ def test_what_the_certificate_or_the_loop_does_not_allow_is_refused_as_a_whole(
 
 def test_more_sets_than_wait_for_an_inactive_controller_are_refused_with_the_reason(make):
     plugin = make()
-    for k in range(16):
+    for k in range(64):
         assert plugin.set("elbow", takeover_time=0.01 * k) == ""
     assert "wait for the controller to be activated" in plugin.set("elbow", takeover_time=0.3)
     plugin.activate()

@@ -65,7 +65,7 @@ public:
 
   // Called by one other thread.
 
-  Queue<Settings, 16> retunings;  // to be applied, each accepted
+  Queue<Settings, 64> retunings;  // to be applied, each accepted
   Newest<Motion> motion;
   std::atomic<bool> is_enabled = true;  // whether it is controlled while the controller is active
 

@@ -223,7 +223,7 @@ rcl_interfaces::msg::SetParametersResult JointNode::allow(const Parameters & cha
   if (result.reason.empty() && joint_->retunings.back() == nullptr) {
     result.reason = is_controller_active_
       ? "sets come faster than the control loop takes them"
-      : "16 sets wait for the controller to be activated: no more are taken before";
+      : "64 sets wait for the controller to be activated: no more are taken before";
   }
   result.successful = result.reason.empty();
   return result;
