@@ -24,6 +24,7 @@ from harness.plugins import (
 )
 
 from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.control import JointLoop
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.experiment.in_process import controllers_text
@@ -161,7 +162,7 @@ def test_a_trajectory_is_followed_as_python_follows_it(active, derivatives, stam
         TrajectoryPoint(time_ns, *((column[k],) for column in columns))
         for k, time_ns in enumerate(times_ns)
     ]
-    loop = GivenLoop(LOOPS[0]).loop.__class__(LOOPS[0])
+    loop = JointLoop(LOOPS[0])
     active.update(start_ns, *rest)
     loop.step(start_ns, 0.1, 0.0)
     active.trajectory("elbow", own, times_ns, *columns)
@@ -175,7 +176,7 @@ def test_a_trajectory_is_followed_as_python_follows_it(active, derivatives, stam
 
 def test_a_new_trajectory_begins_where_the_reference_is_as_in_python(active):
     rest, now_ns = [(0.1, 0.0)] * 2, 10**9
-    loop = GivenLoop(LOOPS[0]).loop.__class__(LOOPS[0])
+    loop = JointLoop(LOOPS[0])
     active.update(now_ns, *rest)
     loop.step(now_ns, *rest[0])
 
