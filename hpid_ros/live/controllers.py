@@ -113,7 +113,8 @@ class RunningGraph(NamedTuple):
             if each.joint in found:
                 both = f"{found[each.joint].node} and {each.node}"
                 raise SettingError(
-                    f"{each.joint} has two controllers, {both}: choose one's with --namespace"
+                    f"{each.joint} has two controllers, {both}: choose those of one namespace "
+                    f"only (--namespace)"
                 )
             found[each.joint] = each
         return cls(found, has_commands, states)

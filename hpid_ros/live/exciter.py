@@ -79,7 +79,7 @@ class MovingNode(executor.ClosingNode):
         infos = self.get_subscriptions_info_by_topic(self._states.topic_name)
         if self.order["recorder"] in {info.node_name for info in infos}:
             return ""
-        return "the recorder does not hear the states"
+        return "the recorder has not subscribed to joint_states yet"
 
     def is_ready(self) -> bool:
         """Return whether nothing is missing; after a while that is a failure."""
@@ -312,7 +312,7 @@ class Exciter(MovingNode):
             self._is_untold = False
         if outcome.result is not None and not self._resting:
             is_done = outcome.result.code == ResultCode.SUCCESSFUL
-            self._is_untold = not is_done and outcome.trajectory is None
+            self._is_untold = outcome.trajectory is None and self._follower.holds_later
             self._rest("" if is_done else outcome.result.text)
 
     def _look_at_limits(self) -> None:
@@ -411,13 +411,16 @@ class Exciter(MovingNode):
         for planned in self._plan.joints:
             if planned.bounds.joint not in self._standing:
                 return (
-                    f"{planned.bounds.controller} tells no ~/reference: it must be active, with "
-                    f"an introspection_rate other than 0"
+                    f"{planned.bounds.controller} publishes no ~/reference: it must be active, "
+                    f"with an introspection_rate other than 0"
                 )
         controllers = {each.bounds.controller for each in self._plan.joints}
         deaf = controllers - self._topics.subscribers()
         if deaf:
-            return f"{', '.join(sorted(deaf))} do not hear joint_trajectory as it is named here"
+            return (
+                f"{', '.join(sorted(deaf))} do not subscribe to this joint_trajectory (namespace "
+                f"or remapping)"
+            )
         return super().lacking()
 
     def _require_unmoved(self, standing: Sequence[float]) -> None:
@@ -430,7 +433,7 @@ class Exciter(MovingNode):
             if abs(off) > max(_MOVED, planned.tolerance):
                 raise SettingError(
                     f"{bounds.joint} was at {bounds.position:.4g} {bounds.unit} when this was "
-                    f"planned, and is told to stand at {reference:.4g} {bounds.unit} now"
+                    f"planned, and its reference is at {reference:.4g} {bounds.unit} now"
                 )
 
     def begin_stop(self) -> Future | None:

@@ -23,7 +23,7 @@ from typing import IO, Any, Literal, NamedTuple
 import yaml
 
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
-from hpid_ros.experiment.processes import NodeGroup, NodeProcess, Process
+from hpid_ros.experiment.processes import NodeGroup, NodeProcess, Process, parameters
 from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import seconds_since
@@ -152,7 +152,7 @@ def carried_out(
             NodeGroup(os.environ, place) as group,
             _recorded(group, graph, mover.topics, bag, place, arguments) as recorder,
         ):
-            of_mover = [*arguments, "-p", f"plan_file:={file}"]
+            of_mover = [*arguments, *parameters(plan_file=file)]
             process = group.start(mover.name, mover.executable, of_mover, has_input=True)
             held = button or Button(_WATCHED_WITHIN)
             with held.held_for(process.process):
@@ -169,19 +169,13 @@ def _recorded(
     arguments: Sequence[str],
 ) -> Iterator[NodeProcess]:
     """Record while the block runs, and close the bag when nothing is told any more."""
-    parameters = place / "controllers.yaml"
-    parameters.write_text(yaml.safe_dump(dict(graph.document), sort_keys=False))
+    file = place / "controllers.yaml"
+    file.write_text(yaml.safe_dump(dict(graph.document), sort_keys=False))
     commands = ["joint_commands"] if graph.has_commands else []
     topics = ["/parameter_events", *told, *commands, "joint_states"]
-    of_recorder = [
-        f"bag:={bag.resolve()}",
-        f"controllers_file:={parameters}",
-        f"topics:={topics}",
-    ]
     slides = [name for name, each in graph.controllers.items() if each.limits.is_slide]
-    if slides:
-        of_recorder.append(f"slides:={slides}")
-    flags = [text for each in of_recorder for text in ("-p", each)]
+    of_slides = {"slides": slides} if slides else {}
+    flags = parameters(bag=bag.resolve(), controllers_file=file, topics=topics, **of_slides)
     recorder = group.start(RECORDER, "bag_recorder", [*arguments, *flags])
     try:
         yield recorder
@@ -278,7 +272,7 @@ def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[Controller]:
     if len(spaces) > 1:
         raise SettingError(
             f"controllers of several namespaces run ({', '.join(sorted(spaces))}): choose the "
-            f"joints of one with --joint"
+            f"joints of one namespace only (--joint)"
         )
     for each in found:
         if each.position is None:
@@ -296,8 +290,8 @@ def bounds_of(controller: Controller, inertia: float | None) -> JointBounds:
     known = inertia or settings.inertia
     if not known and settings.model.is_decoupling:
         raise SettingError(
-            f"the inertia of {settings.joint} must be given (--inertia or --urdf): its gains are "
-            f"those of a unit inertia"
+            f"the inertia of {settings.joint} must be known: set its parameter inertia, or give "
+            f"--inertia or --urdf; its gains are those of a unit inertia"
         )
     motion, effort = settings.motion, settings.effort
     assert controller.position is not None

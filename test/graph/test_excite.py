@@ -2,11 +2,13 @@
 
 import io
 import json
+import time
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Duration
 from harness.turntable import (
     COULOMB,
     INERTIA,
@@ -18,6 +20,7 @@ from harness.turntable import (
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import parameter_dict_from_yaml_file
 from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands.motions import agreed
@@ -41,7 +44,7 @@ def allows_relays(harness):
 
 def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, capsys):
     start_turntable(harness, tmp_path, "lockstep")
-    bag, file = tmp_path / "bag", tmp_path / "tuned.yaml"
+    bag, file = tmp_path / "relay: #1", tmp_path / "tuned.yaml"  # of which YAML is made
     command = ["autotune", "--live", "--bag", str(bag), "-o", str(file)]
     assert main([*command, "--yes"]) == 0
     said = capsys.readouterr().out
@@ -145,7 +148,7 @@ def test_an_excitation_is_shown_carried_out_recorded_and_tells_what_the_joint_is
     harness, tmp_path, capsys
 ):
     start_turntable(harness, tmp_path, "lockstep")
-    bag, options = tmp_path / "bag", ["--duration", "5", "--frequencies", "0.4", "3"]
+    bag, options = tmp_path / "run #2", ["--duration", "5", "--frequencies", "0.4", "3"]
     picture = tmp_path / "plan.png"
     assert main(["excite", *options, "--dry-run", "--plot", str(picture)]) == 0
     shown = capsys.readouterr().out
@@ -176,7 +179,15 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
     graph = running_graph()
     controllers = chosen(graph, [])
     (bounds,) = [bounds_of(each, INERTIA) for each in controllers]
-    stood = []
+    stood, taken = [], []
+    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", RARE)
+
+    def take_over(event, seconds):
+        """Have the joint follow something else, as another node does."""
+        if event == "at" and seconds > 1.0:
+            taken.append(time.monotonic())
+            points = [JointTrajectoryPoint(positions=[0.0], time_from_start=Duration(sec=2))]
+            publisher.publish(JointTrajectory(joint_names=["turn"], points=points))
 
     def stand_still(event, seconds):
         """Do nothing, as a command that Ctrl-Z has stopped, until the joint rests for good."""
@@ -187,6 +198,7 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
     for effort, tell, reason in (
         (10.0, interrupt, "it was interrupted"),
         (10.0, stand_still, "the command that watches it was stopped"),
+        (10.0, take_over, "another node has sent a trajectory for turn"),
         (0.01, lambda *_: None, "from its reference, its tolerance is"),  # less than friction
     ):
         design = SHORT._replace(duration=20.0) if tell is stand_still else SHORT
@@ -194,11 +206,16 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
         harness.set_parameters("turn_controller", u_clamp_max=effort, u_clamp_min=-effort)
         bag = tmp_path / reason
         ending = carry_out(made, controllers, graph, bag, tell)
+        if tell is take_over:
+            assert time.monotonic() - taken[0] < 20.0  # less than for states that stay away
         harness.set_parameters("turn_controller", u_clamp_max=10.0, u_clamp_min=-10.0)
         wait_for_rest(harness)
         assert reason in ending.reason
         assert ending.is_interrupted == (tell is interrupt)
         assert (bag / "metadata.yaml").exists()
+        assert (
+            not taken or time.monotonic() - taken.pop(0) < 20.0
+        )  # 30 s for states that stay away
 
 
 def interrupt(event, seconds):

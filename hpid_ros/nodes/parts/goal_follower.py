@@ -204,6 +204,11 @@ class GoalFollower:
     def is_active(self) -> bool:
         return self._active is not None
 
+    @property
+    def holds_later(self) -> bool:
+        """Whether joints are yet to be stopped, once they have states."""
+        return bool(self._held_late)
+
     def reason_against(self) -> str:
         """Return why no goal can be followed now; empty if one can be."""
         if self._silence:

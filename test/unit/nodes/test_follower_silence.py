@@ -83,6 +83,15 @@ def test_joints_that_another_node_has_taken_meanwhile_are_not_stopped():
     assert [each.names for each in group.told] == [("shoulder",)]
 
 
+def test_joints_that_another_node_has_taken_are_not_to_be_stopped_later():
+    group = started()
+    group.run(0.3)
+    outcome = group.follower.yield_joints({"shoulder", "elbow"})
+    assert outcome.trajectory is None
+    assert not group.follower.holds_later
+    assert late(started()).follower.holds_later
+
+
 def test_a_clock_that_went_back_to_states_that_are_none_ends_nothing():
     group = started()
     group.run(0.3)
