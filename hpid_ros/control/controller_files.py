@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, is_for, node_sections
-from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings
+from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings, Value
 
 INERTIA_RANGES = "inertia_ranges"
 """Section of a parameter file with the least and the largest inertia of joints."""
@@ -33,6 +33,23 @@ def parameters_from(document: object, where: str) -> ParameterFile:
 
 def settings_from_parameters(document: object, where: str) -> dict[str, LoopSettings]:
     """Return the settings of every joint controller in the content of a parameter file."""
+    return {
+        name: _settings(values, f"{where}: {name}")
+        for name, values in _given(document, where).items()
+    }
+
+
+def given_parameters(document: object, where: str) -> dict[str, dict[str, Value]]:
+    """Return what a parameter file itself says of every loop, by node; checked as a whole."""
+    given = _given(document, where)
+    return {
+        name: {key: value for key, value in each.to_parameters().items() if key in given[name]}
+        for name, each in settings_from_parameters(document, where).items()
+    }
+
+
+def _given(document: object, where: str) -> dict[str, dict[str, Any]]:
+    """Return the parameters of every joint controller by node, unchecked."""
     if not isinstance(document, Mapping):
         raise SettingError(f"{where} is no ROS parameter file: it must map node names")
     for name, node in document.items():
@@ -56,7 +73,7 @@ def settings_from_parameters(document: object, where: str) -> dict[str, LoopSett
             if is_for(section, full):
                 values |= own
         if "joint" in values:
-            found[name] = _settings(values, f"{where}: {name}")
+            found[name] = values
     if not found:
         raise SettingError(
             f"{where} has no joint controller: no node in it has the parameter joint "

@@ -113,9 +113,9 @@ class Adviser:
         inertia = settings.plant_inertia
         try:
             require_certifiable(settings.gains, inertia)
+            kind = kind_of(settings, (inertia, inertia))
         except HpidError as error:
             return str(error)
-        kind = kind_of(settings, (inertia, inertia))
         if kind not in self._known:
             (found,) = certified_degrees([(settings, (inertia, inertia))])
             if isinstance(found, DegreeInterval):

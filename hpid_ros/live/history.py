@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
+from hpid_ros.base.errors import HpidError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
@@ -19,9 +21,6 @@ LONGEST = 60.0
 MOST_SAMPLES = 200_000
 _REFERENCES_APART, _STATES_APART = 2.0, 0.5  # [s], at most
 _EFFORTS_OVER = 0.5  # [s]
-
-SIGNALS = ("position", "reference", "error", "effort", "norm", "multiplier")
-"""What is drawn, in the order of :meth:`JointHistory.drawn`."""
 
 
 class Track:
@@ -113,11 +112,12 @@ class JointHistory:
             self._tune(settings)
 
     def _tune(self, settings: LoopSettings) -> None:
-        self._settings, self._norm = settings, make_norm(settings)
-        law = make_law(settings)
+        self._settings = settings
         self._limits: tuple[float, float] | None = None
-        if isinstance(law, HomogeneousPid):
-            self._limits = law.norm_floor, law.norm_cap
+        with suppress(HpidError):  # of decoupling, whose inertia the controller's model may have
+            self._norm, law = make_norm(settings), make_law(settings)
+            if isinstance(law, HomogeneousPid):
+                self._limits = law.norm_floor, law.norm_cap
 
     @property
     def now(self) -> float:
@@ -175,7 +175,7 @@ class JointHistory:
             self._norms.append(self._norm_rows(rows))
 
     def _norm_rows(self, errors: Numbers) -> Numbers:
-        """Return time, norm and multiplier of rows of time, error and rate; nan for a PID."""
+        """Return time, norm and multiplier of rows of time, error and rate; nan without a norm."""
         if self._limits is None:
             return np.column_stack([errors[:, 0], *(np.full(len(errors), np.nan),) * 2])
         found = np.array([self._norm_of(error, rate) for _, error, rate in errors.tolist()])

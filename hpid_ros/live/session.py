@@ -18,10 +18,10 @@ import yaml
 
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.yaml_files import parse_yaml
-from hpid_ros.control.controller_files import parameters_from
+from hpid_ros.control.controller_files import given_parameters
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
 from hpid_ros.live.advice import Advice, AdviceClient
-from hpid_ros.live.controllers import Answer, Controller, Samples
+from hpid_ros.live.controllers import Answer, Change, Controller, Samples
 from hpid_ros.live.history import JointHistory
 
 if TYPE_CHECKING:
@@ -224,17 +224,17 @@ class Tuning:
         }
         return {node: other for node, other in found.items() if other}
 
-    def stage_loops(self, loops: Mapping[str, LoopSettings]) -> list[str]:
-        """Stage what a parameter file says, joint by joint."""
+    def stage_loops(self, loops: Mapping[str, Values]) -> list[str]:
+        """Stage what a parameter file says, joint by joint, and nothing else."""
         found = []
         for node, values in self.in_force.items():
             full_or_own = node, node.rpartition("/")[2]
             own = [each for name, each in loops.items() if name in full_or_own]
             # By its joint, unless a section names a node in another namespace.
             anywhere = [each for name, each in loops.items() if "/" not in name.lstrip("/")]
-            own = own or [each for each in anywhere if each.joint == values["joint"]]
+            own = own or [each for each in anywhere if each["joint"] == values["joint"]]
             if own:
-                wanted = {**own[0].to_parameters(), "joint": values["joint"]}
+                wanted = {**own[0], "joint": values["joint"]}
                 self.staged[node] = differences(values, wanted)
                 found.append(node)
         if not found:
@@ -311,14 +311,6 @@ class LogLine(NamedTuple):
     is_bad: bool = False  # whether something was refused, or has failed
 
 
-class Mark(NamedTuple):
-    """A change of parameters, as plots mark it."""
-
-    node: str  # of the controller
-    time: float  # [s] on the control clock of its joint
-    text: str  # what changed
-
-
 class LiveSession:
     def __init__(self, graph: GraphClient, advice: AdviceClient) -> None:
         self.graph = graph
@@ -355,8 +347,8 @@ class LiveSession:
 
     def pulse(
         self, is_seen: bool = True, samples: Mapping[str, Samples] | None = None
-    ) -> tuple[dict[str, dict[str, list[float]]], list[Mark]]:
-        """Take what is new, and return what is to be drawn: curves by node and signal, marks."""
+    ) -> tuple[dict[str, dict[str, list[float]]], list[Change]]:
+        """Take what is new, and return what is to be drawn: curves by node and signal, changes."""
         seen = self.controllers
         self._note_arrivals(seen)
         watched = tuple(node for node, each in seen.items() if each.is_here) if is_seen else ()
@@ -368,15 +360,13 @@ class LiveSession:
         for node, controller in seen.items():
             self.tuning.see(node, controller.values)
             self.history(node).retune(controller.settings)
-        marks = []
-        for change in self.graph.changes():
-            if change.node in seen:
-                marks.append(Mark(change.node, change.time, shown(change.values)))
-                self.say(f"{self.label(change.node)}: {marks[-1].text}")
+        changes = [each for each in self.graph.changes() if each.node in seen]
+        for change in changes:
+            self.say(f"{self.label(change.node)}: {shown(change.values)}")
         for node, each in (self.graph.take() if samples is None else samples).items():
             if node in seen:
                 self.history(node).append(each)
-        return {node: self.history(node).drawn() for node in watched}, marks
+        return {node: self.history(node).drawn() for node in watched}, changes
 
     def _note_arrivals(self, seen: Mapping[str, Controller]) -> None:
         for node, each in seen.items():
@@ -415,14 +405,14 @@ class LiveSession:
     async def apply(self, nodes: Sequence[str], what: str = "") -> bool:
         """Send what is staged, as one set for each controller, and all or none of them."""
         async with self._acting:
-            sets = self.tuning.staged_sets(nodes)
+            sets = self.tuning.staged_sets([node for node in nodes if self._here.get(node)])
             for node in sets:
                 objection = self.tuning.objection(node)
                 if objection:
                     self.say(f"{self.label(node)}: not sent: {objection}", is_bad=True)
                     return False
             if not sets:
-                self.say("nothing is staged")
+                self.say("nothing is staged for a controller that is here")
                 return False
             return await self._send(sets, what or _summary(sets))
 
@@ -483,9 +473,9 @@ class LiveSession:
         for node, answer in answers.items():
             if answer.is_taken:
                 self.tuning.see(node, {**self.tuning.in_force[node], **sets[node]})
-                self.say(f"{self.label(node)}: set back, {why}")
+                self.say(f"{self.label(node)}: restored, {why}")
             else:
-                self.say(f"{self.label(node)}: NOT set back: {answer.reason}", is_bad=True)
+                self.say(f"{self.label(node)}: NOT restored: {answer.reason}", is_bad=True)
         return {node: each for node, each in sets.items() if answers[node].is_taken}
 
     async def _asked_all(self, sets: Mapping[str, Values]) -> dict[str, Answer]:
@@ -495,16 +485,20 @@ class LiveSession:
     async def undo(self) -> bool:
         async with self._acting:
             try:
-                sets = self.tuning.undoing()
+                undone = self.tuning.undoing()
             except SettingError as error:
                 self.say(str(error), is_bad=True)
                 return False
             what = self.tuning.done[-1].what
-            if await self._send(sets, f"undo: {what}", is_kept=False):
-                self.tuning.done.pop()
+            sets = {node: each for node, each in undone.items() if self._here.get(node)}
+            if sets and not await self._send(sets, f"undo: {what}", is_kept=False):
+                return False
+            self.tuning.done.pop()
+            if sets:
                 self.say(f"undone: {what}")
-                return True
-            return False
+            else:
+                self.say(f"{what}: not undone: its controllers have gone", is_bad=True)
+            return bool(sets)
 
     async def restore(self, values: Mapping[str, Values], what: str) -> bool:
         """Have the controllers that are here take values that they had."""
@@ -526,7 +520,7 @@ class LiveSession:
         """Deactivate every controller that is shown: each joint is left as its ``stop`` says."""
         seen = self.controllers
         nodes = [node for node, each in seen.items() if each.is_here]
-        self.say(f"STOP: {len(nodes)} controllers are deactivated", is_bad=True)
+        self.say(f"STOP: deactivating {len(nodes)} controllers", is_bad=True)
         gone = {node: each for node, each in seen.items() if not each.is_here}
         lost = [node for node, each in gone.items() if each.lifecycle not in _AT_REST]
         for node in lost:
@@ -560,7 +554,7 @@ class LiveSession:
         """Stage what a parameter file says."""
         name = Path(name).name
         content = parse_yaml(name, text, SettingError)
-        nodes = self.tuning.stage_loops(parameters_from(content, name).loops)
+        nodes = self.tuning.stage_loops(given_parameters(content, name))
         self.say(f"{name}: staged for {', '.join(map(self.label, nodes))}")
         return nodes
 

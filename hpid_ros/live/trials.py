@@ -80,21 +80,30 @@ class Tried:
         }
 
 
+class MeasuredMotion(NamedTuple):
+    """The numbers of a part of a recording."""
+
+    run: Measured
+    begin: float  # [s] after the first state
+    end: float  # [s] likewise
+
+
 @dataclass(frozen=True)
 class TrialResult:
     """Motions that were measured."""
 
     variants: tuple[Variant, ...]  # in their order
-    runs: tuple[Measured, ...]  # of each
+    motions: tuple[MeasuredMotion, ...]  # of each
     comparison: Comparison  # of all, ratios to the first
 
     @classmethod
-    def of(cls, variants: Sequence[Variant], runs: Sequence[Measured]) -> TrialResult:
+    def of(cls, variants: Sequence[Variant], motions: Sequence[MeasuredMotion]) -> TrialResult:
         """Compare the motions that came to their ends, the first so many of the variants."""
-        return cls(tuple(variants)[: len(runs)], tuple(runs), compare(runs))
+        compared = compare([each.run for each in motions])
+        return cls(tuple(variants)[: len(motions)], tuple(motions), compared)
 
 
-def measure_motion(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
+def measure_motion(bag: Path, label: str, planned: ExcitationPlan) -> MeasuredMotion:
     """Measure a recording from the plan's start on.
 
     What a joint was told before, which is still on the graph, is in the recording, too: so the
@@ -106,9 +115,10 @@ def measure_motion(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
     rests = [_rests_at(each) for each in series.joints if each.has_reference]
     if not rests:
         raise RunError(f"{label}: the recording tells no reference")
-    begin = max(max(rests) - max(each.end for each in planned.joints), 0.0)
-    end = begin + planned.duration + _AFTER
-    return measure(bag, label, Measuring(replace(selection, start=begin, end=end)))
+    begin = round(max(max(rests) - max(each.end for each in planned.joints), 0.0), 3)
+    end = round(begin + planned.duration + _AFTER, 3)
+    run = measure(bag, label, Measuring(replace(selection, start=begin, end=end)))
+    return MeasuredMotion(run, begin, end)
 
 
 def _rests_at(series: JointSeries) -> float:
@@ -300,7 +310,7 @@ class Trials:
         staged = self._session.tuning.staged_sets(nodes)
         before = {node: dict(self._session.tuning.in_force[node]) for node in nodes}
         self._tried = tried = Tried(before, variants)
-        found: list[Measured] = []
+        found: list[MeasuredMotion] = []
         try:
             self._forget()
             self._folder = _new_folder(is_kept=is_kept)
@@ -328,7 +338,7 @@ class Trials:
         wish: MotionWish,
         variants: Sequence[Variant],
         tried: Tried,
-        found: list[Measured],
+        found: list[MeasuredMotion],
     ) -> bool:
         """Carry out and measure one motion after the other, and tell whether all were."""
         try:
@@ -350,12 +360,13 @@ class Trials:
         tuning = self._session.tuning
         back = tried.to_give_back(tuning.in_force)
         if not await self._session.give_back(back, "as before the trial"):
-            self._say(f"{self.said}; NOT every controller was set back", is_bad=True)
+            self._say(f"{self.said}; NOT every controller was restored", is_bad=True)
         for node, values in staged.items():
             for name, value in values.items():
-                tuning.stage([node], name, value)
+                if name not in tuning.staged.get(node, {}):  # what was chosen since stays
+                    tuning.stage([node], name, value)
 
-    async def _show(self, variants: Sequence[Variant], found: Sequence[Measured]) -> None:
+    async def _show(self, variants: Sequence[Variant], found: Sequence[MeasuredMotion]) -> None:
         """Make a result of the motions that came to their ends."""
         try:
             self.result = await asyncio.to_thread(TrialResult.of, variants, found)
@@ -364,7 +375,7 @@ class Trials:
 
     async def _measured(
         self, number: int, nodes: Sequence[str], wish: MotionWish, variant: Variant
-    ) -> Measured:
+    ) -> MeasuredMotion:
         """Carry one motion out, as often as its button is released, and measure it."""
         assert self._folder is not None
         for attempt in itertools.count(1):

@@ -1,5 +1,6 @@
 """The live page on a real graph, as a person uses it: retuned, tried with two settings, left."""
 
+import json
 import re
 import signal
 
@@ -9,6 +10,8 @@ from harness.browser import launched
 from harness.graph import ros_arguments
 from harness.turntable import GAINS, INERTIA, positions, start_turntable, wait_for_rest
 from rcl_interfaces.srv import GetParameters
+
+from hpid_ros.cli.main import main
 
 expect = pytest.importorskip("playwright.sync_api", reason="pip install playwright").expect
 expect.set_options(timeout=60_000)
@@ -65,7 +68,7 @@ def type_into(page, name, value):
     page.get_by_role("spinbutton", name=re.compile(name)).fill(str(value))
 
 
-def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page):
+def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page, capsys):
     page.get_by_role("button", name="hPID").click()
     type_into(page, "homogeneity degree", -0.2)
     type_into(page, "effort scale", 0.5)
@@ -84,6 +87,10 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page):
     before, after, ratio = (float(each) for each in row.inner_text().split("\t")[1:4])
     assert ratio == pytest.approx(after / before, rel=0.02)
     assert ratio > 0.0
+    hpid, *command = page.locator(".command").first.inner_text().split()
+    assert (hpid, main([*command, "--json"])) == ("hpid", 0)
+    (run,) = json.loads(capsys.readouterr().out)["runs"].values()
+    assert run["totals"]["itae"] == pytest.approx(before, rel=1e-3)
     page.get_by_role("button", name="keep in force").click()
     logged(page, "trial: kept, now in force: in force")
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from hpid_ros.base.errors import HpidError
@@ -26,7 +28,7 @@ _FACTORS = Range(0.1, 10.0, is_logarithmic=True)
 _BANDWIDTHS = Range(0.2, 5.0, is_logarithmic=True)
 
 LABELS = {
-    BANDWIDTH: ("ω", "bandwidth, times that in force: p by its square, i its cube, d itself"),
+    BANDWIDTH: ("ω", "bandwidth factor ω: p is multiplied by ω², i by ω³, d by ω"),
     "gains.p": ("p", "proportional gain"),
     "gains.i": ("i", "integral gain"),
     "gains.d": ("d", "derivative gain"),
@@ -184,7 +186,7 @@ class AllParameters:
             elif spec.choices:
                 field = ui.select(list(spec.choices))
             else:
-                field = ui.number(format="%.6g").props("debounce=400")
+                field = ui.number().props("debounce=400")  # a format would round what is left
             field.props(props)
             field.on_value_change(lambda event: self._stage(spec.name, event.value))
         field.hpid_row = row
@@ -199,6 +201,7 @@ class AllParameters:
     def _stage(self, name: str, value: object) -> None:
         if value not in (None, self._known.get(name)):
             self._viewer.stage(name, value)
+            self._known.pop(name, None)  # what was refused does not stay
             self._edited()
 
     def refresh(self) -> None:
@@ -386,7 +389,11 @@ class TuningPanel:
         joint = _joint_advice(known) if len(known) == len(nodes) else None
         is_known = is_current and joint is not None and not joint.is_pending
         mu.show_interval(joint if is_known else None, is_current=is_known)
-        degrees = [float(self._session.tuning.value(node, "mu")) for node in nodes]
+        tuning = self._session.tuning
+        degrees = [
+            float(tuning.value(node, "mu")) if tuning.value(node, "law") == "hpid" else 0.0
+            for node in nodes
+        ]
         text, is_bad = _certificate_text(joint if is_known else None, degrees)
         self._certified.set_text(text)
         self._certified.classes(replace="advice is-bad" if is_bad else "advice")
@@ -424,16 +431,14 @@ class TuningPanel:
 def _joint_advice(known: Sequence[Advice]) -> Advice:
     """Return what holds for all of several joints: the narrowest interval, the least margins."""
     without = [each for each in known if each.interval is None]
-    if without or not known:
-        pending = [each for each in without if each.is_pending]
-        return (pending or without or [Advice()])[0]
-    intervals = [each.interval for each in known if each.interval is not None]
-    return Advice(
-        (max(low for low, _ in intervals), min(high for _, high in intervals)),
-        "",
-        min(each.phase for each in known),
-        min(each.delay for each in known),
-        max(each.sensitivity for each in known),
+    pending = [each for each in without if each.is_pending]
+    lows, highs = zip(*(each.interval or (0.0, 0.0) for each in known), strict=True)
+    return replace(
+        (pending or without or known)[0],
+        interval=None if without else (max(lows), min(highs)),
+        phase=float(np.min([each.phase for each in known])),  # nan where one is not known
+        delay=float(np.min([each.delay for each in known])),
+        sensitivity=float(np.max([each.sensitivity for each in known])),
     )
 
 

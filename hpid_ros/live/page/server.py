@@ -1,6 +1,6 @@
 """The page's server: who may see it, a thread beside the nodes, a stream of frames.
 
-The page moves robots. It is reply to people by an address with a token; the browser then keeps the
+The page moves robots. People open it by an address with a token; the browser then keeps the
 token as a cookie of this host, with all its ports. Another page in the same browser has neither
 the token nor this origin, and a name that somebody has pointed at this address (DNS rebinding) is
 no host of it.
@@ -35,9 +35,10 @@ from starlette.responses import PlainTextResponse
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.live.advice import AdviceClient
+from hpid_ros.live.controllers import Change
 from hpid_ros.live.motion import HELD_WITHIN
 from hpid_ros.live.page.view import PageView
-from hpid_ros.live.session import LiveSession, Mark
+from hpid_ros.live.session import LiveSession, shown
 from hpid_ros.live.trials import Trials
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ class PageServer:
                 f"and let them reach it through an encrypted tunnel"
             )
         listener = _listener(host, port)
-        port = int(listener.getsockname()[1])
+        address, port = listener.getsockname()[:2]
         token = token or secrets.token_urlsafe(24)
         self._advice = AdviceClient()
         session = LiveSession(graph, self._advice)
@@ -198,7 +199,8 @@ class PageServer:
                 guard, log_level="warning", access_log=False, timeout_graceful_shutdown=1
             )
         )
-        self.url = f"http://{'127.0.0.1' if is_own else host}:{port}/?token={token}"
+        name = f"[{address}]" if ":" in address else address
+        self.url = f"http://{name}:{port}/?token={token}"
         self._failure = ""
         self._thread = threading.Thread(
             target=self._run, args=(listener,), name="page", daemon=True
@@ -265,24 +267,35 @@ class Frames:
     def __init__(self, session: LiveSession, trials: Trials, period: float) -> None:
         self._session, self._trials, self._period = session, trials, period
         self._viewers: dict[asyncio.Queue[str], str] = {}
+        self._failure = ""  # of a pulse, said once
 
     async def run(self) -> None:
         while True:
             began = asyncio.get_running_loop().time()
             # Beside this loop, so that a button that is held is heard meanwhile.
             samples = await asyncio.to_thread(self._session.graph.take)
-            curves, marks = self._session.pulse(bool(self._viewers), samples)
+            try:
+                curves, changes = self._session.pulse(bool(self._viewers), samples)
+            except Exception as error:  # pages go on: what they cannot show can still be stopped
+                curves, changes, failure = {}, [], repr(error)
+                if failure != self._failure:
+                    self._failure = failure
+                    self._session.say(f"nothing can be drawn: {failure}", is_bad=True)
             if self._viewers:
-                self._tell(curves, marks)
+                self._tell(curves, changes)
             period = self._period if self._viewers else _IDLE_PERIOD
             spent = asyncio.get_running_loop().time() - began
             await asyncio.sleep(max(period - spent, 0.2 * period))
 
-    def _tell(self, curves: dict[str, dict[str, list[float]]], marks: list[Mark]) -> None:
+    def _tell(self, curves: dict[str, dict[str, list[float]]], changes: list[Change]) -> None:
         now = {node: self._session.history(node).now for node in curves}
         usable = {node: at for node, at in now.items() if at > float("-inf")}
-        timed = [each._asdict() for each in marks if math.isfinite(each.time)]
-        text = json.dumps({"now": usable, "curves": curves, "marks": timed})
+        marks = [
+            {"node": each.node, "time": each.time, "text": shown(each.values)}
+            for each in changes
+            if math.isfinite(each.time)
+        ]
+        text = json.dumps({"now": usable, "curves": curves, "marks": marks})
         for queue in list(self._viewers):
             try:
                 queue.put_nowait(text)

@@ -18,6 +18,7 @@ from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.motion.excitation import ExcitationPlan
 
 _IN_FORCE, _CHOSEN = "what is in force", "what is chosen"
+_SNAPSHOT = "snapshot "  # before its name, which may be any
 _BUCKETS = 300  # of a curve that is drawn
 
 
@@ -95,7 +96,8 @@ class TrialPanel:
         return f"Hold to run {which}" if left is None else f"Hold: {left:.0f} s {which}"
 
     def _offer(self) -> None:
-        names = [_IN_FORCE, _CHOSEN, *self._session.tuning.snapshots]
+        snapshots = [f"{_SNAPSHOT}{name}" for name in self._session.tuning.snapshots]
+        names = [_IN_FORCE, _CHOSEN, *snapshots]
         if self._one.options != names:
             self._one.set_options(names, value=self._one.value or _IN_FORCE)
             self._other.set_options(["nothing", *names], value=self._other.value or _CHOSEN)
@@ -151,7 +153,7 @@ class TrialPanel:
             return Variant("in force", values)
         if name == _CHOSEN:
             return Variant("chosen", {node: tuning.chosen(node) for node in nodes})
-        return Variant(name, tuning.snapshots[name])
+        return Variant(name, tuning.snapshots[name.removeprefix(_SNAPSHOT)])
 
     # What came of it
 
@@ -164,19 +166,20 @@ class TrialPanel:
         with self._result:
             ui.label(" and ".join(labels)).classes("heading")
             _show_table(result, labels)
-            ui.label("of each, less is better").classes("hint")
+            ui.label("lower is better for every index").classes("hint")
             for label in labels[1:]:
                 for each in result.comparison.differences(label):
-                    ui.label(f"they differ: {each.text}").classes("hint")
+                    ui.label(f"not fully comparable: {each.text}").classes("hint")
             errors = chart("errors of the motions", "preview")
             errors.options.update(_curves_options(_error_curves(result)))
             with ui.element("div").classes("bar"):
                 for variant in result.variants if len(labels) > 1 else ():
                     keep = self._viewer.acting(partial(self._keep, variant), self.refresh)
                     button(f"keep {variant.label}", keep, "unelevated size=sm")
-            for run in result.runs:
+            for run, begin, end in result.motions:
                 if run.path.exists():
-                    ui.label(f"hpid metrics {run.path}").classes("command")
+                    window = f"--start {begin:g} --end {end:g}"
+                    ui.label(f"hpid metrics {run.path} {window}").classes("command")
 
     async def _keep(self, variant: Variant) -> None:
         if self._trials.stage is Stage.IDLE:
@@ -229,7 +232,7 @@ def _plan_curves(planned: ExcitationPlan) -> list[tuple[str, list[list[float]]]]
 
 def _error_curves(result: TrialResult) -> list[tuple[str, list[list[float]]]]:
     curves = []
-    for run, variant in zip(result.runs, result.variants, strict=True):
+    for (run, *_), variant in zip(result.motions, result.variants, strict=True):
         if run.series is None:
             continue
         for each in run.series.joints:

@@ -47,16 +47,22 @@ class JointTable:
         ).classes("hint")
 
     @property
+    def ticked(self) -> list[str]:
+        """Nodes that are chosen, in order; one that has gone may come back."""
+        return [node for node, row in self._rows.items() if row.box.value]
+
+    @property
     def chosen(self) -> list[str]:
         """Nodes that are chosen and here, in order."""
-        return [node for node, row in self._rows.items() if row.is_chosen]
+        seen = self._viewer.session.controllers
+        return [node for node in self.ticked if seen[node].is_here]
 
     @property
     def colours(self) -> dict[str, str]:
         return {node: row.colour for node, row in self._rows.items()}
 
     def refresh(self) -> None:
-        seen = self._viewer.session.controllers
+        seen = self._viewer.session.tuning.in_force
         for node in seen:
             if node not in self._rows:
                 with self._body:
@@ -102,10 +108,6 @@ class _Row:
                     self._figures.append(ui.label())
             with ui.element("td"):
                 self._switch = button("", self._transit, "flat dense size=sm")
-
-    @property
-    def is_chosen(self) -> bool:
-        return bool(self.box.value) and self._session.controllers[self._node].is_here
 
     def refresh(self, window: float) -> None:
         seen = self._session.controllers[self._node]
@@ -276,7 +278,7 @@ class PageView:
                 "position": "m" if seen[node].limits.is_slide else "rad",
                 "effort": "N" if seen[node].limits.is_slide else "N m",
             }
-            for node in self._table.chosen
+            for node in self._table.ticked
         ]
         self._paused.value = False
         ui.run_javascript(

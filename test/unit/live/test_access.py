@@ -1,13 +1,16 @@
 """Only who has the token, at this host and from this page, gets in."""
 
 import asyncio
+import socket
+from urllib.parse import urlsplit
 
 import pytest
+from harness.simulated_graph import SimulatedGraph, arm
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.page.server import Guard, require_token
+from hpid_ros.live.page.server import Guard, PageServer, require_token
 
 TOKEN = "correct-horse-battery"
 HOST = "127.0.0.1:8080"
@@ -61,6 +64,20 @@ def test_no_text_gets_in_or_brings_the_guard_down(host, origin, query, cookies):
 def test_a_server_for_others_is_known_by_any_name_but_only_at_its_port():
     assert judged((), host="robot.lab:8080", cookies=COOKIE)[0] == 200
     assert judged((), host="robot.lab:80", cookies=COOKIE)[0] == 421
+
+
+@pytest.mark.parametrize("host", ["localhost", "::1", "[::1]"])
+def test_the_address_of_a_server_leads_to_it(host):
+    try:
+        served = PageServer(SimulatedGraph(arm()), host, port=0)
+    except SettingError as error:
+        pytest.skip(str(error))  # a computer without IPv6
+    address = urlsplit(served.url)
+    try:
+        socket.create_connection((address.hostname, address.port), 10.0).close()
+    finally:
+        served.stop()
+    assert judged(host=f"{address.netloc.rpartition(':')[0]}:8080", cookies=COOKIE)[0] == 200
 
 
 @pytest.mark.parametrize("token", ["", "short", "a" * 15, "a" * 16 + "\n", "a b" * 10, "ä" * 20])

@@ -10,6 +10,7 @@ import pytest
 from harness.simulated_graph import loop_settings
 
 from hpid_ros.live.advice import UNKNOWN_INERTIA, Advice, AdviceClient, Adviser, response_to
+from hpid_ros.live.page.panel import _joint_advice
 from hpid_ros.stability.gain_check import check_gains
 
 PATIENCE = 60.0  # [s]
@@ -33,7 +34,11 @@ def test_the_interval_is_that_of_check_gains(adviser):
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
-    [({"inertia": 0.0}, UNKNOWN_INERTIA), ({"gains.i": 0.0}, "integral action")],
+    [
+        ({"inertia": 0.0}, UNKNOWN_INERTIA),
+        ({"gains.i": 0.0}, "integral action"),
+        ({"inertia": 0.0, "compensation": "decoupling"}, "decoupling needs the inertia"),
+    ],
 )
 def test_where_nothing_can_be_certified_it_says_why(adviser, changes, reason):
     settings = loop_settings("elbow").with_parameters(changes)
@@ -42,6 +47,14 @@ def test_where_nothing_can_be_certified_it_says_why(adviser, changes, reason):
     assert reason in advice.reason
     again = Advice.from_mapping(json.loads(json.dumps(asdict(advice))))
     assert repr(again) == repr(advice)  # nan equals nothing
+
+
+def test_the_margins_of_several_joints_are_the_least_of_all_also_where_one_has_no_certificate():
+    certified = Advice((-0.1, 0.2), "", 40.0, 0.01, 1.5)
+    found = _joint_advice([certified, Advice(None, "no", 60.0, 0.03, 1.2)])
+    assert found == Advice(None, "no", 40.0, 0.01, 1.5)
+    assert _joint_advice([certified, Advice((-0.2, 0.1), "", 60.0)]).interval == (-0.1, 0.1)
+    assert math.isnan(_joint_advice([certified, Advice()]).phase)
 
 
 def test_a_negative_degree_is_faster_close_by():

@@ -15,6 +15,7 @@ from hpid_ros.messages.joint_state import JointStateFields
 from hpid_ros.metrics.indices import itae, total_variation
 
 MS = 1_000_000
+DECOUPLING = {"compensation": "decoupling", "gains.p": 80.0, "gains.i": 100.0, "gains.d": 8.0}
 
 
 def samples(begin, end, position=lambda t: 0.0 * t, effort=lambda t: 0.0 * t, reference=0.0):
@@ -108,6 +109,13 @@ def test_norm_and_multiplier_are_those_of_the_law():
     linear = JointHistory(loop_settings("elbow", law="pid"))
     linear.append(samples(0, 1, reference=0.1))
     assert linear.drawn()["norm"] == []
+
+
+def test_decoupling_whose_inertia_its_model_has_is_drawn_without_a_norm():
+    history = JointHistory(loop_settings("elbow", inertia=0.0, **DECOUPLING))
+    history.append(samples(0, 1, reference=0.1))
+    assert history.drawn()["norm"] == []
+    assert history.indices(1.0).error == 0.1
 
 
 def test_a_count_rises_for_as_long_as_it_has_grown_lately():

@@ -240,6 +240,19 @@ def test_curves_are_drawn_from_frames_and_each_change_is_marked(open_page, serve
     )
 
 
+def test_marks_of_a_clock_that_went_back_are_forgotten(open_page):
+    page = open_page()
+    page.wait_for_function("window.hpidLive.frames > 5")
+    kept = page.evaluate(
+        """() => [[5, [4, 4.5]], [1, [0.5]], [2, []]].map(([now, times]) => {
+            const marks = times.map((time) => ({ node: "n", time, text: "" }));
+            window.hpidLive.take({ now: { n: now }, curves: {}, marks });
+            return window.hpidLive.marks.filter((mark) => mark.node === "n").length;
+        })"""
+    )
+    assert kept == [2, 1, 1]
+
+
 def test_from_another_page_nothing_is_to_be_had(context, server):
     other = context.new_page()
     other.goto(server.url)  # this browser has the cookie now

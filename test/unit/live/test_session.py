@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.live.controllers import Answer
+from hpid_ros.live.page.server import Frames
 from hpid_ros.live.session import BANDWIDTH, ControlLock, Limit, LiveSession, Tuning, slider_range
 
 NODES = sorted(arm())
@@ -110,6 +111,41 @@ def test_a_flood_of_sets_ends_at_the_page(session, graph):
     assert any("at most 5 a second" in line for line in lines(session))
 
 
+def test_who_has_gone_keeps_nobody_else_from_a_set_and_from_undoing_it(session, graph):
+    session.tuning.stage(NODES, "mu", -0.3)
+    assert asyncio.run(session.apply(NODES))
+    session.tuning.stage(NODES, "mu", -0.4)
+    graph.gone.add(NODES[2])
+    graph.refusals[NODES[2]] = "it has gone"
+    session.pulse()
+    assert asyncio.run(session.apply(NODES))
+    assert asyncio.run(session.undo())
+    assert asyncio.run(session.undo())
+    assert [joint.settings.mu for joint in graph.joints.values()] == [-0.2, -0.2, -0.3]
+    session.tuning.note("alone", {NODES[2]: {"mu": -0.3}}, {NODES[2]: {"mu": -0.2}})
+    assert not asyncio.run(session.undo())
+    assert lines(session)[-1] == "alone: not undone: its controllers have gone"
+    assert not session.tuning.done
+
+
+def test_frames_go_on_where_nothing_can_be_drawn(session, monkeypatch):
+    def fail(*_):
+        raise SettingError("no norm")
+
+    monkeypatch.setattr(session, "pulse", fail)
+    frames, queue = Frames(session, None, 1e-3), asyncio.Queue()
+    frames._viewers[queue] = "page"
+
+    async def two_frames():
+        running = asyncio.ensure_future(frames.run())
+        await asyncio.wait_for(asyncio.gather(queue.get(), queue.get()), 10.0)
+        running.cancel()
+
+    asyncio.run(two_frames())
+    assert lines(session)[-1] == "nothing can be drawn: SettingError('no norm')"
+    assert lines(session).count(lines(session)[-1]) == 1
+
+
 def test_samples_of_before_nobody_looked_are_not_mixed_with_those_of_now(session, graph):
     graph.joints[NODES[0]].stamp_ns = 10**12  # far ahead
     graph._began -= 1001.0
@@ -126,8 +162,9 @@ def test_samples_of_before_nobody_looked_are_not_mixed_with_those_of_now(session
 def test_a_change_by_anybody_is_marked_and_who_is_there_is_stopped(session, graph):
     graph.set(NODES[0], {"mu": 0.1})
     graph.gone.add(NODES[2])
-    _, (mark,) = session.pulse()
-    assert (mark.node, mark.text) == (NODES[0], "mu 0.1")
+    _, (change,) = session.pulse()
+    assert (change.node, change.values) == (NODES[0], {"mu": 0.1})
+    assert "arm_joint_1: mu 0.1" in lines(session)
     assert session.tuning.in_force[NODES[0]]["mu"] == 0.1
     assert "arm_joint_3: its controller has gone" in lines(session)
     assert not asyncio.run(session.stop())  # it may still drive its joint
@@ -142,6 +179,13 @@ def test_a_file_that_is_saved_is_a_file_that_can_be_loaded(session, graph):
     session.pulse()
     session.load(text, "controllers.yaml")
     assert session.tuning.staged_sets(NODES) == {node: {"mu": -0.2} for node in NODES}
+
+
+def test_what_a_file_does_not_say_stays(session):
+    session.load(
+        "/**/arm_joint_1_controller: {ros__parameters: {joint: elbow, mu: 0.1}}", "a.yaml"
+    )
+    assert session.tuning.staged_sets(NODES) == {NODES[0]: {"mu": 0.1}}
 
 
 @pytest.mark.parametrize("text", ["a: [", "nothing", "x: {y: 1}", "\x00"])
@@ -211,7 +255,7 @@ def test_who_was_frozen_does_not_take_alone_what_the_others_gave_back(slow):
     assert slow.graph.degrees() == [-0.2] * 3
     slow.graph.thaw(NODES[1])
     assert slow.graph.degrees() == [-0.2] * 3
-    assert any("arm_joint_2: NOT set back: no answer" in each for each in lines(slow))
+    assert any("arm_joint_2: NOT restored: no answer" in each for each in lines(slow))
 
 
 def test_what_somebody_else_sets_meanwhile_stays_when_others_refuse(slow):
@@ -319,14 +363,14 @@ def test_a_snapshot_is_come_back_to_from_anywhere(tuning):
 
 def test_a_file_is_staged_for_the_controllers_that_it_names_or_whose_joints_it_has(tuning):
     loops = {
-        "arm_joint_1_controller": loop_settings("arm_joint_1", 0.4, mu=0.1),
-        "of_another_name": loop_settings("arm_joint_2", 0.2, mu=0.2),
+        "arm_joint_1_controller": {"joint": "arm_joint_1", "mu": 0.1},
+        "of_another_name": {"joint": "arm_joint_2", "mu": 0.2},
     }
     assert tuning.stage_loops(loops) == NODES[:2]
     assert tuning.staged_sets(NODES) == {NODES[0]: {"mu": 0.1}, NODES[1]: {"mu": 0.2}}
     for name, joint in (("nobody", "nobody"), ("/right/arm_joint_1_controller", "arm_joint_1")):
         with pytest.raises(SettingError, match="no controller of this file is here"):
-            tuning.stage_loops({name: loop_settings(joint, mu=0.3)})
+            tuning.stage_loops({name: {"joint": joint, "mu": 0.3}})
 
 
 def test_sliders_reach_a_decade_to_either_side():

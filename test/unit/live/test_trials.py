@@ -156,6 +156,20 @@ def test_a_trial_that_is_cancelled_while_its_last_motion_is_measured_sets_back(p
     assert bench.gain == bench.before
 
 
+def test_what_is_chosen_during_a_trial_is_not_what_was_chosen_before_it():
+    async def choose(bench):
+        await bench.reach(Stage.READY)
+        bench.session.tuning.stage([NODE], "gains.p", 60.0)
+        bench.trials.cancel()
+
+    bench = Bench()
+    bench.session.tuning.stage([NODE], "gains.p", 99.0)
+    bench.session.tuning.stage([NODE], "gains.d", 9.0)
+    chosen = Variant("chosen", {NODE: bench.session.tuning.chosen(NODE)})
+    bench.run(choose, (chosen,))
+    assert bench.session.tuning.staged[NODE] == {"gains.p": 60.0, "gains.d": 9.0}
+
+
 def take_control(bench):
     bench.session.control_lock.join("another")
     bench.session.control_lock.take("another")
@@ -250,7 +264,7 @@ def test_who_is_left_is_set_back_where_the_controller_of_another_joint_ends_in_t
     both = Variant("chosen", {NODE: {"gains.p": 99.0}, OTHER: {"gains.p": 49.0}})
     said = bench.run(end_one, (both, IN_FORCE), [NODE, OTHER])
     assert bench.gain == bench.before
-    assert "NOT every controller was set back" in said
+    assert "NOT every controller was restored" in said
 
 
 def test_a_trial_leaves_alone_what_somebody_else_sets_meanwhile():

@@ -81,6 +81,8 @@ class LivePage {
   take(frame) {
     this.heard = performance.now();
     this.frames += 1;
+    const isBack = (node) => frame.now[node] < this.curves.now.get(node);
+    this.marks = this.marks.filter((mark) => !isBack(mark.node)); // they are of another time
     this.curves.take(frame);
     this.marks.push(...frame.marks);
     this.marks = this.marks.slice(-200);
