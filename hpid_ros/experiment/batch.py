@@ -15,7 +15,7 @@ from hpid_ros.base.processes import raise_if_interrupted, side_by_side
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment, following_loops
 from hpid_ros.messages.series import RunSeries, complete_run
-from hpid_ros.metrics.comparison import ratio
+from hpid_ros.metrics.comparison import median_and_quartiles, ratio
 from hpid_ros.metrics.quantities import CHATTER, ERROR_MAX, OVERSHOOT, PAPER, Fold, Quantity
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.motion.joint_trajectory import JointTrajectory
@@ -199,7 +199,8 @@ class Quartiles(NamedTuple):
         if not values:
             return None
         if not all(math.isfinite(value) for value in values):
-            return cls(math.inf, math.inf, math.inf)  # a ratio to a baseline of zero
+            median, (first, third) = median_and_quartiles(values)  # a baseline of zero: infinity
+            return cls(first, median, third)
         return cls(*(float(each) for each in np.quantile(values, (0.25, 0.5, 0.75))))
 
     def as_mapping(self) -> dict[str, float | None]:

@@ -151,7 +151,9 @@ class Cluster(AbstractContextManager["Cluster"]):
         self._address = address
         self._client = _connect(address)
         try:  # those that come later are looked at as they work
-            for worker, found in self._client.run(traits, ()).items():
+            for worker, found in self._client.run(traits, (), on_error="return").items():
+                if isinstance(found, Exception):  # it has no hpid_ros
+                    raise RunError(f"the worker at {worker} cannot take part: {found}")
                 unlike = differences(traits(()), found)
                 if unlike:
                     raise RunError(f"the worker at {worker} cannot take part: it has {unlike}")
@@ -208,7 +210,7 @@ class Cluster(AbstractContextManager["Cluster"]):
                 f"{label}: every worker that took this run was lost; --resume carries a study on"
             ) from None
         except RunError as error:
-            raise RunError(f"a worker at {self._address} cannot take part: {error}") from None
+            raise RunError(f"a worker of {self._address} cannot take part: {error}") from None
         except (CancelledError, asyncio.CancelledError):  # all are when the scheduler is lost
             raise RunError(
                 f"the scheduler at {self._address} is lost, and {left + 1} runs with it; "
@@ -237,17 +239,24 @@ def _connect(address: str) -> Any:
             asyncio.run(asyncio.wait_for(_identity(address), _ANSWERS_WITHIN))
             connect: Any = Client
             return connect(address, timeout=_ANSWERS_WITHIN, set_as_default=False, name="hpid")
-        except OSError:
+        except TypeError:  # of what distributed is given, only the context of TLS can be wrong
+            raise SettingError(
+                "tls:// needs certificates: distributed.comm.tls in Dask's configuration"
+            ) from None
+        except (OSError, asyncio.TimeoutError):  # which is no OSError before Python 3.11
             raise RunError(
                 f"no Dask scheduler answers at {address} within {_ANSWERS_WITHIN:g} s"
             ) from None
 
 
 async def _identity(address: str) -> None:
+    from distributed import Security
     from distributed.core import rpc
 
     connect: Any = rpc
-    remote = connect(address, timeout=_ANSWERS_WITHIN)
+    secure: Any = Security
+    how = secure().get_connection_args("client")  # of Dask's configuration, as a client has it
+    remote = connect(address, timeout=_ANSWERS_WITHIN, connection_args=how)
     try:
         kind = (await remote.identity())["type"]
     finally:

@@ -270,11 +270,12 @@ def save(result: Result, folder: ResultFolder, how: str) -> None:
         label: {each.joint: each for each in loops}
         for label, loops in result.experiment.controllers.items()
     }
+    engine = result.experiment.world.engine
     provenance = {
         "experiment": result.experiment.name,
         "ran": how,
-        "engine": result.experiment.world.engine,
-        "command": f"hpid compare {result.experiment.path.name}",
+        "engine": engine,
+        "command": f"hpid compare {result.experiment.path.name} --engine {engine}",
         "seed": result.experiment.seed,
         "SHA-256 of experiment and robot": result.experiment.digest,
         "versions": versions(),
@@ -286,6 +287,7 @@ def save(result: Result, folder: ResultFolder, how: str) -> None:
             result.runs,
             provenance,
             result.experiment.parameters(),
+            warnings=result.notes,
             gains=gains_of_runs(result.runs, settings),
             paths=result.paths,
         ),

@@ -335,10 +335,8 @@ def _experiment(document: Document, root: Section) -> Experiment:
     world, control, reference = read_world(root, document.folders)
     if reference is None:
         raise ExperimentError("reference is missing")
-    duration = root.number("duration", above=0.0, most=1e5)
+    duration = _whole_periods(root.number("duration", above=0.0, most=1e5), control.rate, world)
     _require_before_end(world, reference.plan, duration)
-    if round(duration * NANOSECONDS) % world.control_period_ns:
-        raise ExperimentError(f"duration {duration} s is not a whole number of control periods")
     return Experiment(
         name=require_label(root.text("name"), root.place("name"), ExperimentError),
         text=document.text,
@@ -364,6 +362,16 @@ def following_loops(
     for loop in loops:
         loop.follow(trajectory.column(loop.settings.joint))
     return loops
+
+
+def _whole_periods(duration: float, rate: float, world: WorldSettings) -> float:
+    """Return a duration as control periods have it, which are whole nanoseconds at 30 Hz, too."""
+    period_ns, asked_ns = world.control_period_ns, round(duration * NANOSECONDS)
+    periods = round(asked_ns / period_ns)
+    rounding_ns = abs(NANOSECONDS / rate - period_ns)
+    if abs(asked_ns - periods * period_ns) > periods * rounding_ns + 0.5:
+        raise ExperimentError(f"duration {duration} s is not a whole number of control periods")
+    return periods * period_ns / NANOSECONDS
 
 
 def _require_before_end(world: WorldSettings, plan: BrickPlan | None, duration: float) -> None:

@@ -187,6 +187,9 @@ def source_label(experiment: Experiment, law: LawName) -> str:
     return experiment.baseline
 
 
+_GAINS = ("gains.p", "gains.i", "gains.d")
+
+
 @dataclass(frozen=True)
 class SearchSpace:
     """All that a search may choose from."""
@@ -231,7 +234,7 @@ class SearchSpace:
                         f"computes some"
                     )
             apply = partial(_scaled_gains, geometric_mean(each.gains.p for each in start))
-            changed = ("gains.p", "gains.i", "gains.d")
+            changed = _GAINS
         else:
             in_effort = all(each.norm.effort_scale for each in start)
             degree, scale, other = EFFORT_PARAMETERS if in_effort else HPID_PARAMETERS
@@ -241,6 +244,8 @@ class SearchSpace:
             free = (degree, scale, other)
             apply = partial(_homogeneous, scale.name)
             changed = ("mu", f"norm.{scale.name}", f"norm.{other.name}")
+            if any(each.gains != own.gains for each, own in zip(source, start, strict=True)):
+                changed += _GAINS
         parameters = {each.name: each for each in free}
         bounds = bounds or {}
         require_known("free parameter", bounds, parameters)
@@ -510,8 +515,7 @@ def compare_entry(
     written = yaml.safe_load(experiment.text)["compare"][source] or {}
     common = flat({key: value for key, value in written.items() if key != _JOINTS})
     each = {joint: flat(entry) for joint, entry in written.get(_JOINTS, {}).items()}
-    common["law"] = space.law
-    for name in space.changed:
+    for name in ("law", *space.changed):
         values = {loop.joint: loop.to_parameters()[name] for loop in loops}
         for parameters in (common, *each.values()):
             parameters.pop(name, None)

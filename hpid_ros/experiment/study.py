@@ -175,6 +175,14 @@ def verdict(claim: PaperClaim, evidence: Mapping[str, Evidence]) -> tuple[str, t
 SETTLED = 0.01  # [rad] below which the error of a settled controller stays in the last second
 
 
+def _is_claimed(entry: StudyEntry, label: str) -> bool:
+    """Return whether a controller of an experiment is homogeneous, with the baseline's gains."""
+    loops = entry.experiment.controllers.get(label, ())
+    gains = [each.gains for each in entry.experiment.controllers[entry.baseline]]
+    is_homogeneous = label != entry.baseline and any(each.law == "hpid" for each in loops)
+    return is_homogeneous and [each.gains for each in loops] == gains
+
+
 @dataclass(frozen=True)
 class StudyResult:
     plan: StudyPlan  # what was run
@@ -230,22 +238,15 @@ class StudyResult:
 
     def claimed_labels(self) -> list[str]:
         """Return the controllers of the claims: homogeneous, with the baseline's gains."""
-        labels: dict[str, None] = {}
-        for entry in self.plan.entries:
-            gains = [each.gains for each in entry.experiment.controllers[entry.baseline]]
-            for label in entry.others:
-                loops = entry.experiment.controllers[label]
-                is_homogeneous = any(each.law == "hpid" for each in loops)
-                if is_homogeneous and [each.gains for each in loops] == gains:
-                    labels[label] = None
-        return list(labels)
+        entries = self.plan.entries
+        return list(dict.fromkeys(k for e in entries for k in e.others if _is_claimed(e, k)))
 
     def all_evidence(self, label: str) -> dict[str, Evidence]:
-        """Return what each experiment that has a controller says of it, by experiment."""
+        """Return what each experiment says of a controller of the claims, by experiment."""
         return {
             entry.name: self.evidence(entry, label)
             for entry in self.plan.entries
-            if label in entry.others and self.table.seed_ratios(entry.row(label), ITAE)
+            if _is_claimed(entry, label) and self.table.seed_ratios(entry.row(label), ITAE)
         }
 
     def refusals(self, entry: StudyEntry, label: str) -> dict[str, str]:

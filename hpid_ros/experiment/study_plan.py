@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from hpid_ros.base.errors import ExperimentError, SettingError, unknown_name
+from hpid_ros.base.errors import ExperimentError, SettingError, require_known, unknown_name
 from hpid_ros.base.files import ResourceError, find_resource, share_folder
 from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_document
@@ -170,6 +170,8 @@ def plan_study(
         entries[entry.name] = entry
     if not entries:
         raise SettingError("a study needs at least one experiment")
+    known = {joint for each in entries.values() for joint in each.experiment.world.joints}
+    require_known("joint", joints, known)
     return StudyPlan(tuple(entries.values()), seeds, shard)
 
 

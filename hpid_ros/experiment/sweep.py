@@ -65,8 +65,10 @@ class Axis:
                 raise SettingError(f"it must be {_FORMS}")
             require_known("parameter", [name], names)
             known = PARAMETERS.get(name)
-            if known is not None and isinstance(known.default, str):
-                values = tuple(known.checked(part.strip()) for part in rest.split(","))
+            if known is not None and isinstance(known.default, str | bool):
+                read = {"true": True, "false": False} if known.kind is bool else {}
+                parts = [part.strip() for part in rest.split(",")]
+                values = tuple(known.checked(read.get(part, part)) for part in parts)
             else:
                 values = _numbers(rest)
             if len(set(values)) < len(values):
@@ -78,6 +80,8 @@ class Axis:
 
 
 def shown(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
     return value if isinstance(value, str) else f"{value:.12g}"
 
 

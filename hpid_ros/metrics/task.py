@@ -247,7 +247,9 @@ class EndEffector:
                 f"run {run.label!r} has no joint that moves {frame.link!r}: it has "
                 f"{', '.join(self._series)}, but the link moves with {', '.join(chain)}"
             )
-        unknown = [joint for joint in recorded if not self._series[joint].has_reference]
+        wheels = frame.base.joints if frame.base else ()
+        moving = [joint for joint in (*recorded, *wheels) if joint in self._series]
+        unknown = [joint for joint in moving if not self._series[joint].has_reference]
         if unknown:
             raise BagError(
                 f"run {run.label!r}: how far {frame.link!r} was from its reference is not known: "

@@ -120,6 +120,15 @@ def recorded(
     return world, runs, chosen
 
 
+def require_few(labels: Sequence[str]) -> None:
+    """Refuse more runs than stand next to each other in an animation."""
+    if not 1 <= len(labels) <= MOST_RUNS:
+        raise SettingError(
+            f"an animation shows 1 to {MOST_RUNS} runs beside each other, not {len(labels)}: "
+            f"choose some of {', '.join(labels)}"
+        )
+
+
 def render(
     world: WorldSettings,
     runs: Sequence[RunSeries],
@@ -128,11 +137,7 @@ def render(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Film:
     """Return the animation of some runs; it calls `progress` with pictures done and all."""
-    if not 1 <= len(runs) <= MOST_RUNS:
-        raise SettingError(
-            f"an animation shows 1 to {MOST_RUNS} runs beside each other, not {len(runs)}: choose "
-            f"some of {', '.join(run.label for run in runs)}"
-        )
+    require_few([run.label for run in runs])
     duration = max(run.duration for run in runs)
     instants, speed = settings.instants(duration)
     window = (0.0, duration) if settings.start == settings.end else (instants[0], instants[-1])

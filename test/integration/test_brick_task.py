@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -118,8 +119,11 @@ def test_a_brick_is_carried_to_its_place_and_the_result_shows_it(small_result, t
     folder = ResultFolder.create(tmp_path / "result")
     save_numbers(result, folder, [RunReport("hPID", 1.0, 2201, 1)], "in one process")
     save(result, folder, "in one process")
-    assert '"end_effector"' in (folder.path / "report.html").read_text()
-    assert "hPID: brick brick carried" in (folder.path / "table.txt").read_text()
+    page = (folder.path / "report.html").read_text()
+    assert '"end_effector"' in page
+    assert f"hpid compare small.yaml --engine {result.experiment.world.engine}" in page
+    for text in (page, (folder.path / "table.txt").read_text()):
+        assert "hPID: brick brick carried" in text
 
 
 def test_the_graph_does_the_same_task_to_the_last_bit(small_result, tmp_path):
@@ -268,7 +272,11 @@ def test_deviations_are_those_of_the_kinematics():
         series(name, np.full(count, v), np.full(count, v))
         for name, v in zip(arm.joints, pose, strict=True)
     ]
-    figures = EndEffector(TaskFrame(ROBOT, "payload", base), RunSeries("run", (*wheels, *still)))
+    frame = TaskFrame(ROBOT, "payload", base)
+    alone = [replace(each, reference=np.empty(0)) for each in wheels]
+    with pytest.raises(BagError, match="no reference of wheel_left_joint, wheel_right_joint was"):
+        EndEffector(frame, RunSeries("run", (*alone, *still)))
+    figures = EndEffector(frame, RunSeries("run", (*wheels, *still)))
     tracking = figures.figures().tracking
     assert figures.frame == "odom"
     heading = base.twist(10.0, 20.0).angular  # the end of the reference: 10 and 20 rad

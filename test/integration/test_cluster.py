@@ -2,12 +2,14 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+import dask.distributed
 import pytest
 from harness.engines import shipped
 from harness.studies import study, wait_until
@@ -50,7 +52,7 @@ class Processes:
             )
         self._started.append(process)
         said = "Registered to" if kind == "worker" else "Scheduler at"
-        place = re.compile(rf"{said}: *(tcp://\S+)")
+        place = re.compile(rf"{said}: *(t(?:cp|ls)://\S+)")
         wait_until(lambda: place.search(log.read_text()) or process.poll() is not None)
         found = place.search(log.read_text())
         assert found, log.read_text()
@@ -142,6 +144,35 @@ def test_a_worker_with_other_sources_is_refused_by_name(cluster, studied, tmp_pa
     assert not (tmp_path / "r").exists()
 
 
+def test_a_worker_without_hpid_ros_is_refused_by_name(cluster, studied, tmp_path, capsys):
+    (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['hpid_ros'] = None\n")
+    cluster.worker(tmp_path)
+    assert study(studied[0], tmp_path / "r", "--scheduler", cluster.address) == FAILED
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(r"the worker at tcp://\S+ cannot take part: ModuleNotFoundError", line)
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes the certificate")
+def test_a_scheduler_is_met_by_tls_with_the_certificates_of_dasks_configuration(
+    tmp_path, monkeypatch
+):
+    of_both = {"cert": "c.pem", "key": "k.pem"}
+    tls = {"ca-file": "c.pem", "scheduler": of_both, "client": of_both}
+    wanted = {f"distributed.comm.tls.{name}": each for name, each in tls.items()}
+    monkeypatch.chdir(tmp_path)
+    make = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=x -out c.pem -keyout k.pem"
+    subprocess.run(make.split(), check=True, capture_output=True)
+    with dask.config.set({"distributed.comm.default-scheme": "tls", **wanted}):
+        inherited = dask.config.serialize(dask.config.global_config)
+        monkeypatch.setenv("DASK_INTERNAL_INHERIT_CONFIG", inherited)
+        processes = Processes(tmp_path)
+        try:
+            with Cluster(processes.address) as workers:
+                assert str(workers).startswith(f"no worker yet at {processes.address}")
+        finally:
+            processes.end()
+
+
 def test_a_worker_that_comes_later_is_looked_at_as_it_works(experiment_file):
     (task,), parcel = pack([RunTask.of(load_experiment(experiment_file()), "PID")])
     with pytest.raises(RunError, match=r"it has hpid_ros \S+ instead of 9\.9"):
@@ -157,6 +188,7 @@ def test_a_worker_that_comes_later_is_looked_at_as_it_works(experiment_file):
     [
         ("nobody", "--scheduler must be tcp://HOST:PORT, not 'nobody'"),
         ("127.0.0.1:99999", "--scheduler must be tcp://HOST:PORT, not '127.0.0.1:99999'"),
+        ("tls://127.0.0.1:1", "tls:// needs certificates: distributed.comm.tls in Dask's config"),
         ("127.0.0.1:1", "no Dask scheduler answers at 127.0.0.1:1 within 0.5 s"),
         ("without", "--scheduler needs Dask (import of distributed halted"),
     ],

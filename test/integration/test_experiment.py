@@ -103,6 +103,13 @@ def test_bad_experiments_are_refused_in_one_line_that_names_the_place(
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(("rate", "end_ns"), [(1000, 100_000_000), (300, 99_999_990)])
+def test_a_duration_is_whole_periods_of_every_rate(experiment_file, rate, end_ns):
+    experiment = load_experiment(experiment_file(control={"rate": rate}, duration=0.1))
+    assert experiment.periods == 0.1 * rate
+    assert experiment.duration == end_ns / 1e9
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -236,8 +236,9 @@ def test_formats_limits_and_cutoffs_reach_what_they_are_for(run, result):
 def test_figures_and_report_are_drawn_with_the_gains_of_the_result(run, result, tmp_path):
     folder, page = tmp_path / "figures", tmp_path / "deep" / "report.html"
     drawn = ("--figures", folder, "--formats", "svg", "--joint", "arm_joint_1")
-    code, _, errors = run(result, *drawn, "--report", page)
+    code, _, errors = run(result, *drawn, "--report", page, "--save", folder / "x.json")
     assert code == DONE
+    assert json.loads((folder / "x.json").read_text())["indices"]
     names = {path.name for path in folder.iterdir()}
     assert {"positions.svg", "spectrum.svg", "multiplier.svg", "trade_off.svg"} <= names
     assert f"written: {folder}" in errors

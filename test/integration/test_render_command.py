@@ -126,9 +126,13 @@ def test_what_is_no_result_with_recordings_is_one_line(own, tmp_path, refused):
     assert "has no recordings any more" in refused("render", own)
 
 
-def test_a_comparison_can_be_animated_at_once(experiment_file, tmp_path):
+def test_a_comparison_can_be_animated_at_once(experiment_file, tmp_path, refused):
     require_renderer()
     folder = tmp_path / "result"
+    many = experiment_file(duration=0.05, compare={name: {} for name in "abcde"})
+    words = refused("compare", many, "--in-process", "-o", folder, "--animation")
+    assert "shows 1 to 4 runs beside each other, not 5" in words
+    assert not folder.exists()
     compared(experiment_file(duration=0.05), folder, "--animation")
     assert len(list(frames(folder / "animation.webp"))) == 1
     assert "data:image/webp" in (folder / "report.html").read_text()

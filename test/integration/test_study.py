@@ -224,6 +224,7 @@ def test_an_interrupt_leaves_what_was_run(studied, tmp_path, capsys, losing):
     [
         (["--seeds", "0"], "seeds must be at least 1"),
         (["--joint", "arm_joint_9"], "unknown joint 'arm_joint_9'"),
+        (["--joint", "arm_joint_1", "--joint", "arm_joint_9"], "unknown joint 'arm_joint_9'"),
         (["--resume"], "--resume needs the study's folder"),
         (["a.yaml"], "two experiments are called 'calm'"),
         (["--resume", "-o", "empty"], "is not a study that could be carried on"),
@@ -254,9 +255,14 @@ def test_claims_are_of_the_homogeneous_law_with_the_same_gains(experiment_file, 
         judge={"joints": ARM[:2]},
         controllers__joints__arm_joint_1__inertia=0.0,
     )
-    assert study([path], tmp_path / "s", seeds=1) == DONE
+    retuned = path.with_name("retuned.yaml")
+    retuned.write_text(
+        f"extends: {path.name}\nname: retuned\ncompare: {{hPID: {{gains: {{p: 50.0}}}}}}\n"
+    )
+    assert study([path, retuned], tmp_path / "s", seeds=1) == DONE
     found = saved(tmp_path / "s")
     assert list(found["claims"]) == ["hPID"]
+    assert set(found["claims"]["hPID"][0]["figures"]) == {"short"}
     controllers = found["experiments"]["short"]["controllers"]
     assert list(controllers) == list(compare)
     for each in controllers.values():  # loops that are not certified are named

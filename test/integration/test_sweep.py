@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 import os
 import random
 import signal
@@ -18,7 +19,15 @@ from harness.studies import children_of, is_alive, wait_until
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
-from hpid_ros.experiment.batch import TOTAL, RunRecord, RunTask, WorldKeeper, run_batch, simulated
+from hpid_ros.experiment.batch import (
+    TOTAL,
+    Quartiles,
+    RunRecord,
+    RunTask,
+    WorldKeeper,
+    run_batch,
+    simulated,
+)
 from hpid_ros.experiment.compare import compute
 from hpid_ros.experiment.description import following_loops, load_experiment
 from hpid_ros.experiment.in_process import NoProgress, run_without_ros
@@ -231,6 +240,7 @@ def planned(experiment, *texts, **options):
         ("gains.p=1e2:2e2:2", (100.0, 200.0)),
         ("norm.type=weighted,canonical", ("weighted", "canonical")),
         ("payload=0:2:5", (0.0, 0.5, 1.0, 1.5, 2.0)),
+        ("observer.feed_disturbance=true, false", (True, False)),
     ],
 )
 def test_axes_are_what_a_person_means(text, values):
@@ -249,6 +259,7 @@ def test_axes_are_what_a_person_means(text, values):
         ("mu=nan", "not finite"),
         ("joint=elbow", "unknown parameter 'joint'"),
         ("law=pdi", "one of hpid, pid"),
+        ("observer.feed_disturbance=1", "must be true or false"),
     ],
 )
 def test_bad_axes_are_refused_in_a_line_that_repeats_them(text, words):
@@ -330,6 +341,10 @@ def test_gains_that_a_loop_refuses_stay_in_the_table_with_the_reason(experiment)
     assert refused.refusal in result.runs_csv()
     assert refused.refusal in result.summary_csv()
     assert [place for place, _ in sweep.tasks()] == [0, 1]
+
+
+def test_a_baseline_of_zero_with_one_seed_leaves_the_others_their_median():
+    assert Quartiles.of([math.inf, 0.5, 0.6]) == (0.55, 0.6, math.inf)
 
 
 def test_ratios_are_taken_seed_by_seed_before_the_median(experiment):

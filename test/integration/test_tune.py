@@ -270,8 +270,9 @@ def test_the_snippet_keeps_what_its_entry_had(experiment_file):
 
 
 def test_what_was_said_of_one_joint_does_not_outlive_the_search(experiment_file):
-    """The search has one rate weight for all, and error scales that follow the joints' own."""
-    own = {"arm_joint_1": {"norm": {"rate_weight": 0.5, "error_scale": 0.1}, "norm.floor": 0.0}}
+    """The search has one law and one rate weight, the baseline's gains, and scales that follow."""
+    norm = {"norm": {"rate_weight": 0.5, "error_scale": 0.1}, "norm.floor": 0.0}
+    own = {"arm_joint_1": {"law": "pid", "gains.p": 9.0, **norm}}
     compare = {"PID": {"law": "pid"}, "hPID": {"mu": -0.1, "joints": own}}
     path = experiment_file(duration=0.05, compare=compare, judge={"joints": ARM})
     experiment = load_experiment(path)
@@ -279,7 +280,7 @@ def test_what_was_said_of_one_joint_does_not_outlive_the_search(experiment_file)
     loops = space.controller([-0.2, 2.0, 0.3])
     entry = compare_entry(experiment, space, loops)
     assert entry["norm"] == {"rate_weight": 0.3}
-    assert entry["joints"]["arm_joint_1"] == {"norm": {"floor": 0.0, "error_scale": 0.2}}
+    assert entry["joints"]["arm_joint_1"]["norm"] == {"floor": 0.0, "error_scale": 0.2}
     document = yaml.safe_load(path.read_text())
     document["compare"]["found"] = entry
     path.write_text(yaml.safe_dump(document, sort_keys=False))

@@ -44,6 +44,10 @@ def run(options: argparse.Namespace) -> int:
             raise SettingError("--animation is of one engine: hpid render takes one of both")
         return _run_in_both(options, formats)
     experiment = experiment_to_run(options)
+    if options.animation:
+        from hpid_ros.report.film import require_few
+
+        require_few(tuple(experiment.controllers))
     output = output_folder(options, experiment.name)
     console = output_console()
     with RunProgress(console, experiment, tuple(experiment.controllers)) as progress:

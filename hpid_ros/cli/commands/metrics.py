@@ -177,12 +177,12 @@ def _inputs(options: argparse.Namespace) -> list[Path]:
 def write_outputs(options: argparse.Namespace, found: Summary) -> list[Path]:
     written: list[Path] = []
     try:
+        if options.figures is not None:  # first: the folder must be empty, others may go into it
+            _save_figures(options, found)
+            written.append(options.figures)
         if options.save is not None:
             write_file(options.save, _saved_text(found))
             written.append(options.save)
-        if options.figures is not None:
-            _save_figures(options, found)
-            written.append(options.figures)
         if options.report is not None:
             write_file(options.report, _report_text(found))
             written.append(options.report)

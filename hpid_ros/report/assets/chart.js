@@ -303,11 +303,13 @@ class Chart {
   }
   zoomTo({ from, to }) {
     const sorted = (a, b) => (a < b ? [a, b] : [b, a]);
-    const [low, high] = sorted(this.fromX(from[0]), this.fromX(to[0]));
+    const [first, last] = this.whole;
+    const within = ([px]) => Math.max(first, Math.min(last, this.fromX(px)));
+    const [low, high] = sorted(within(from), within(to));
     if (this.figure.free && Math.abs(from[1] - to[1]) > 4) {
       this.height = sorted(this.fromY(from[1]), this.fromY(to[1]));
     }
-    this.range = [Math.max(low, this.whole[0]), Math.min(high, this.whole[1])];
+    if (high - low > 1e-6 * (last - first)) this.range = [low, high];
   }
   key(event) {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
