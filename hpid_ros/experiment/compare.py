@@ -328,13 +328,6 @@ def run_controller(
 Computed = Callable[[Result, Sequence[RunReport]], None]
 
 
-@dataclass(frozen=True)
-class Compared:
-    result: Result  # the numbers
-    reports: tuple[RunReport, ...]  # how each run went
-    folder: ResultFolder  # where everything lies
-
-
 def compare(
     experiment: Experiment,
     output: Path,
@@ -344,7 +337,7 @@ def compare(
     options: GraphOptions | None = None,
     force: bool = False,
     computed: Computed = lambda result, reports: None,
-) -> Compared:
+) -> Result:
     """Run an experiment's controllers one after the other, record, compute, report, certify.
 
     ``computed`` is called with the numbers as soon as they are saved.
@@ -370,9 +363,7 @@ def compare_engines(
             engine = experiment.world.engine
             part = folder.part(engine)
             told = NamedProgress(progress, engine, list(experiment.controllers))
-            results[engine] = _compare(
-                experiment, part, told, in_process, options, computed
-            ).result
+            results[engine] = _compare(experiment, part, told, in_process, options, computed)
         totals = _engine_totals(results)
         first = next(iter(results.values())).comparison
         slides = slides_note(first.joint_names, first.slides)
@@ -407,7 +398,7 @@ def _compare(
     in_process: bool,
     options: GraphOptions | None,
     computed: Computed,
-) -> Compared:
+) -> Result:
     if experiment.engine_note:
         progress.note(experiment.engine_note)
     folder.write(EXPERIMENT, experiment.text)
@@ -429,4 +420,4 @@ def _compare(
     computed(result, reports)
     save(result, folder, how)
     folder.write("certificates.json", json.dumps(certificates(experiment.controllers)) + "\n")
-    return Compared(result, tuple(reports), folder)
+    return result

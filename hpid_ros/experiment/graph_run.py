@@ -225,9 +225,10 @@ def run_on_graph(
             progress.phase(label, "starting the nodes")
             nodes.start(group)
             start_within = _START_WITHIN + _START_EACH * len(group.nodes)
-            run.wait_for("started", nodes.bridge, start_within, "every node to find the others")
+            lonely = "not every node had found the others"
+            run.wait_for("started", nodes.bridge, start_within, lonely)
             begun.append(time.monotonic())
-            run.wait_for("finished", nodes.bridge, None, "the last state")
+            run.wait_for("finished", nodes.bridge, None, "no last state")
             begun.append(time.monotonic())
         except BaseException:
             # The recorder has its time all the same.
@@ -289,7 +290,7 @@ class _GraphRun:
         self._wait(
             lambda: not missing(),
             within,
-            lambda: f"the recorder: it lacks {missing()}",
+            lambda: f"the recorder lacks {missing()}",
             lambda: sum(missing().values()),
         )
 
@@ -312,7 +313,7 @@ class _GraphRun:
             if within is not None and left() < before:
                 before, deadline = left(), time.monotonic() + within
             if deadline is not None and time.monotonic() > deadline and not is_true():
-                raise RunError(f"{self._label}: waited {within:g} s in vain for {what()}")
+                raise RunError(f"{self._label}: timed out after {within:g} s: {what()}")
 
     def take_events(self) -> None:
         for node in self._group.nodes.values():
@@ -334,7 +335,8 @@ class _GraphRun:
         elif name == "silent":
             seconds = event["stamp_ns"] * 1e-9
             joints = ", ".join(event["joints"])
-            self.warnings.append(f"no answer from {joints} from {seconds:.3f} s on: no effort")
+            line = f"{joints}: no command since {seconds:.3f} s; zero effort is applied"
+            self.warnings.append(line)
         elif name == "failed":
             raise RunError(f"{self._label}: {event['reason']}")
 

@@ -191,7 +191,10 @@ class ResultFolder:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is None:
-            with system_errors(f"what was run is in {self.path}, but {self._output} is as it was"):
+            with system_errors(
+                f"the new result is in {self.path}; it could not be moved to {self._output}, "
+                "which may still hold the former one"
+            ):
                 written = self._marker.all_files(self.path)
                 if self.path != self._output:
                     self._take_place(written)
@@ -238,7 +241,10 @@ class ResultFolder:
             names = ", ".join(foreign[:_NAMES_SHOWN])
             more = len(foreign) - _NAMES_SHOWN
             names += f" and {more} more" if more > 0 else ""
-            _log.warning("left alone in %s, not being of the result: %s", output, names)
+            _log.warning(
+                "%s also holds files that are not part of the result; they were kept: %s",
+                *(output, names),
+            )
 
     def _correct_paths(self, written: Iterable[str]) -> None:
         """Let the nodes' parameter files name their robots by where these will be."""

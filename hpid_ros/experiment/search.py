@@ -607,7 +607,8 @@ class SearchResult:
             f"totals over {', '.join(plan.joints)}"
         ]
         if best is None:
-            return lines[0] + "\nno point has a cost\n"
+            why = "all were refused, failed or did not settle (see note in points.csv)"
+            return f"{lines[0]}\nno usable point: {why}\n"
         baseline = plan.experiment.baseline
         values = ", ".join(f"{name} {value:g}" for name, value in best.values.items())
         of = "" if best.stage == "all" else f" of {best.stage}"

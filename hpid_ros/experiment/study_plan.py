@@ -223,8 +223,8 @@ def read_journal(path: Path) -> list[JournalEntry]:
             if number == len(lines):
                 break
             raise SettingError(
-                f"{path}: line {number} is damaged, or of an earlier version; without this line "
-                "its run is made again"
+                f"{path}: line {number} is damaged, or of an earlier version; delete the line, "
+                "and its run is repeated"
             ) from None
     return entries
 

@@ -132,8 +132,9 @@ def _measured_text(joint: MeasuredJoint, apart: Distance) -> str:
     low, high = joint.frequency[0] / math.tau, joint.frequency[-1] / math.tau
     return (
         f"measured at {joint.frequency.size} of {joint.candidates} frequencies, {low:.3g} to "
-        f"{high:.3g} Hz; as PID L is {100 * apart.median:.2g} % from the computed one in the "
-        f"median, {100 * apart.most:.2g} % in 95 of 100; gain of an inertia of "
+        f"{high:.3g} Hz; the measured open loop (its law replaced by the PID) differs from the "
+        f"computed one by {100 * apart.median:.2g} % (median), by at most "
+        f"{100 * apart.most:.2g} % at 95 % of the frequencies; its gain is that of an inertia of "
         f"{apart.inertia:.3g} kg m^2; largest |S| {apart.sensitivity:.2f}, computed "
         f"{apart.computed_sensitivity:.2f}"
     )
