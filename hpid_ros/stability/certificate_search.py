@@ -36,6 +36,7 @@ from hpid_ros.stability.closed_loop import (
     CertifiedSpan,
     DegreeInterval,
     Norm,
+    ScaledGains,
     as_matrix,
     canonical_values,
     effective_gains,
@@ -52,7 +53,7 @@ _AT_HAND = 10_000  # points, 80 kB of each array
 _DEEP = 14.0  # in ln of a power of the norm: there it is negligible
 
 
-def time_unit(gains: Gains) -> float:
+def time_unit(gains: Gains | ScaledGains) -> float:
     """Return the rate ki^(1/3) in [1/s] that makes the integral gain one."""
     return float(gains.i ** (1.0 / 3.0))
 
@@ -98,7 +99,12 @@ class SphereGrid:
     """
 
     def __init__(
-        self, gains: Gains, norm: Norm, along: int, inward: int, unit_of_shapes: float = 0.0
+        self,
+        gains: Gains | ScaledGains,
+        norm: Norm,
+        along: int,
+        inward: int,
+        unit_of_shapes: float = 0.0,
     ) -> None:
         self._unit = unit = time_unit(gains)
         scales = (unit / (unit_of_shapes or unit)) ** np.arange(3.0)
@@ -270,7 +276,7 @@ _ACTIVE = 200  # points that a linear program looks at
 _STRETCH = np.tril_indices(3)
 
 
-def scaled_loop(gains: Gains) -> Numbers:
+def scaled_loop(gains: Gains | ScaledGains) -> Numbers:
     """Return the linear loop's matrix on (e, de/dt, p - I), in units of ki^(1/3)."""
     unit = time_unit(gains)
     return np.array(
@@ -286,7 +292,7 @@ def lyapunov_solution(loop: Numbers, cost: Sequence[float]) -> Numbers:
     return np.asarray(0.5 * (shape + shape.T))
 
 
-def first_shapes(gains: Gains, norm: Norm) -> Numbers:
+def first_shapes(gains: Gains | ScaledGains, norm: Norm) -> Numbers:
     """Return the shapes that a search starts from: sixteen at each of nine scales.
 
     The costs reach from units of the integral action to units of the oscillation sqrt(kp), which

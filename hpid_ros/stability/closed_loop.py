@@ -117,9 +117,17 @@ def unit_curve(norm: Norm, count: int) -> Numbers:
     return np.asarray(direction / np.sqrt(square)[:, None])
 
 
-def effective_gains(gains: Gains, inertia: float) -> Gains:
+class ScaledGains(NamedTuple):
+    """Gains times factors: no parameters, and not held to their range."""
+
+    p: float
+    i: float
+    d: float
+
+
+def effective_gains(gains: Gains, inertia: float) -> ScaledGains:
     """Return the gains over the inertia, which are those on the unit double integrator."""
-    return Gains(gains.p / inertia, gains.i / inertia, gains.d / inertia)
+    return ScaledGains(gains.p / inertia, gains.i / inertia, gains.d / inertia)
 
 
 def closed_loop_field(

@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.assembly import observer_design
-from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import ObserverDesign
+from hpid_ros.stability.closed_loop import ScaledGains
 
 Complexes = NDArray[np.complex128]
 """Of any shape, which the docstring says."""
@@ -267,9 +267,9 @@ class FrozenLoop:
     multiplier: float = 1.0  # lam, the factor of the bandwidth; 1 for the linear PID
 
     @cached_property
-    def gains(self) -> Gains:
+    def gains(self) -> ScaledGains:
         own, factor = self.settings.gains, self.multiplier
-        return Gains(own.p * factor**2, own.i * factor**3, own.d * factor)
+        return ScaledGains(own.p * factor**2, own.i * factor**3, own.d * factor)
 
     def with_delay(self, delay: float) -> FrozenLoop:
         """Return the same loop with another delay, in [s]."""

@@ -142,7 +142,9 @@ def _range(
         raise GainError(f"{settings.joint} is not certified {where}: {interval}")
     to_own = physical_units(*loop) / physical_units(*like)
     family = settings.norm_family
-    time = family.rate_weight * family.error_scale
+    # In units of effort as the plugin computes it, to the last bit.
+    is_of_effort = settings.norm.effort_scale > 0.0
+    time = gains.d / gains.p if is_of_effort else family.rate_weight * family.error_scale
     boxes = []
     for span, (factor, shape) in sorted(found, key=lambda each: each[0].lower):
         norms = tuple(family(norm.degree) for norm in span.norms)

@@ -293,6 +293,10 @@ def test_a_shape_that_holds_at_two_inertias_holds_between_them():
     assert shared_spans(largest, moved, 0.15) == []
 
 
+def test_gains_over_a_light_inertia_may_be_beyond_the_range_of_their_parameters():
+    assert certify_degree(Gains(50.0, 2500.0, 0.4), WeightedNorm(-0.1, 1.0, 1.0), 0.002).spans
+
+
 @pytest.mark.parametrize("value", ["x", 10**400, None, {"a": 1}], ids=range(4))
 def test_a_certificate_of_no_numbers_is_refused(value):
     mapping = {"format": FORMAT, "gains": {"p": value, "i": 1.0, "d": 1.0}, "spans": []}

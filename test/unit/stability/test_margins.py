@@ -244,6 +244,12 @@ def test_an_unstable_loop_of_the_band_takes_all_margins():
     assert all(each.margins is None for each in margins.unstable)
 
 
+def test_a_multiplier_may_scale_gains_beyond_the_range_of_their_parameters():
+    gains = Gains(400.0, 1000.0, 40.0)
+    heavy = loop_settings(law="hpid", mu=-0.3, gains=gains, inertia=2.0)  # i lam^3 is 1.95e6
+    assert family_margins(loop_family(heavy, (2.0, 2.0))).is_stable
+
+
 @pytest.mark.parametrize(
     ("others", "norms"),
     [

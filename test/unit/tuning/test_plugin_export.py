@@ -6,6 +6,7 @@ import random
 from dataclasses import replace
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import yaml
 from harness.bags import JOINT_STATE
@@ -33,8 +34,8 @@ from hpid_ros.messages.writer import BagWriter
 from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.stability.certification import check_certificate
 from hpid_ros.stability.closed_loop import Certificate
-from hpid_ros.stability.gain_boxes import gain_ranges
-from hpid_ros.stability.gain_check import CERTIFICATES, verify
+from hpid_ros.stability.gain_boxes import _range, gain_ranges
+from hpid_ros.stability.gain_check import CERTIFICATES, certified_degrees, verify
 from hpid_ros.tuning.export import GivenLoop, require_package
 from hpid_ros.tuning.recorded_loops import read_records
 from hpid_ros.tuning.replay import replay_joint
@@ -342,6 +343,15 @@ def test_gains_within_a_box_are_certified_by_its_p_and_far_beyond_it_are_not():
         far = Gains(0.2 * box.p[0], 3.0 * box.i[1], 0.2 * box.d[0])
         with pytest.raises(GainError):
             check_certificate(Certificate(far, (span,)))
+
+
+def test_a_box_of_these_gains_alone_holds_them_as_the_plugin_divides_them():
+    gains = Gains(39.6, 132.0, 3.96)  # (d / u0) (u0 / p) is not d / p
+    loop = loop_settings(gains=gains, norm__effort_scale=3.0, mu=-0.1), (0.1, 0.1)
+    (interval,) = certified_degrees([loop])
+    alone = [(span, (1.0, np.array(span.shape))) for span in interval.certificate.spans]
+    box = _range(loop, interval, loop, alone).boxes[0]
+    assert box.rate_time == (gains.d / gains.p,) * 2
 
 
 def test_a_loop_that_is_not_certified_is_not_exported():
