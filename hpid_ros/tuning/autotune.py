@@ -125,7 +125,7 @@ class Autotuned(NamedTuple):
     closed_loop_time: float  # [s]
 
 
-def effective_delay(settings: LoopSettings, delay: float) -> float:
+def effective_delay(settings: LoopSettings, delay: float, *, has_velocities: bool = True) -> float:
     """Return the delay that a rule should count: of the joint, the velocity and the sampling.
 
     Half a period of the hold, and the time constant of a first-order lag, count as delays.
@@ -133,8 +133,9 @@ def effective_delay(settings: LoopSettings, delay: float) -> float:
     Journal of Process Control 13 (2003) 291-309, section 2, the half rule.
     """
     velocity = settings.velocity
-    filtered = velocity.filter_time_constant if velocity.source == "filtered" else 0.0
-    return delay + filtered + 0.5 * settings.timing.control_period
+    is_filtered = velocity.source == "filtered" or (velocity.is_measured and not has_velocities)
+    filter_time = velocity.filter_time_constant if is_filtered else 0.0
+    return delay + filter_time + 0.5 * settings.timing.control_period
 
 
 def autotuned(
@@ -143,6 +144,8 @@ def autotuned(
     delay: float,
     closed_loop_time: float | None,
     goal: str,
+    *,
+    has_velocities: bool = True,
 ) -> Autotuned:
     """Return SIMC gains for a joint, and the homogeneous PID with them."""
     if settings.model.is_decoupling:
@@ -150,7 +153,7 @@ def autotuned(
             "compensation decoupling has gains of a unit inertia: hpid gains designs them"
         )
     middle = float(f"{0.5 * (inertia[0] + inertia[1]):.3g}")
-    effective = effective_delay(settings, delay)
+    effective = effective_delay(settings, delay, has_velocities=has_velocities)
     time = _PATIENCE * effective if closed_loop_time is None else closed_loop_time
     exact = simc(middle, time, effective)
     gains = Gains(*(float(f"{each:.{_DIGITS}g}") for each in (exact.p, exact.i, exact.d)))

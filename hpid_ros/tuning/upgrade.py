@@ -150,7 +150,7 @@ def effort_scale(candidates: Sequence[Candidate]) -> float:
     PID works harder than that, the homogeneous one of a negative degree is gentler. Gravity and
     friction are not in it, the integral carries them.
     """
-    known = [(each.pid.gains.p, each.statistics) for each in candidates if each.statistics]
+    known = [(_stiffness(each.pid), each.statistics) for each in candidates if each.statistics]
     states = sum(statistics.states for _, statistics in known)
     total = sum(p * p * each.mean_square_error * each.states for p, each in known)
     if total == 0.0:
@@ -159,6 +159,18 @@ def effort_scale(candidates: Sequence[Candidate]) -> float:
             "proportional gain and joints that move: give --bag, or one with more of a motion"
         )
     return float(f"{math.sqrt(total / states):.3g}")
+
+
+def _stiffness(pid: LoopSettings) -> float:
+    """Return the proportional gain in [N m/rad]; with decoupling it is an acceleration's."""
+    if not pid.model.is_decoupling:
+        return pid.gains.p
+    if not pid.inertia:
+        raise SettingError(
+            f"goal balanced needs the inertia of {pid.joint!r}, whose gains are accelerations by "
+            "compensation decoupling: set its parameter inertia"
+        )
+    return pid.inertia * pid.gains.p
 
 
 def upgrades(
@@ -185,7 +197,9 @@ def upgrades(
         if isinstance(interval, GainError):
             proposals.failures[each.pid.joint] = interval
         else:
-            proposals.found[each.pid.joint] = _proposal(base, each.pid.inertia, goal, interval)
+            proposals.found[each.pid.joint] = _proposal(
+                base, each.pid.plant_inertia, goal, interval
+            )
     return proposals
 
 
@@ -361,7 +375,8 @@ def _excess(settings: LoopSettings, interval: tuple[float, float], inertia: floa
     lower, upper = (_SHARE_OF_INTERVAL * end for end in interval)
     if not lower <= settings.mu <= upper:
         return "leaves the inner four fifths of the certified interval"
-    multiplier = settings.norm_floor**settings.mu
+    floor = settings.norm_floor
+    multiplier = floor**settings.mu if floor else math.inf if settings.mu < 0.0 else 0.0
     if not _SLOWEST <= multiplier <= _FASTEST:
         return f"multiplies the bandwidth by {multiplier:.2f} at the norm's floor"
     margin = sampling_margin(

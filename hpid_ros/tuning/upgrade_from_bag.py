@@ -28,7 +28,7 @@ from hpid_ros.robot.description import GivenRobot
 from hpid_ros.robot.dynamics import inertia_ranges
 from hpid_ros.simulation.drives import LONGEST_DELAY
 from hpid_ros.stability.gain_check import inertia_of
-from hpid_ros.stability.margins import Margins, loop_family, margins_of
+from hpid_ros.stability.margins import Case, FamilyMargins, Margins, loop_family, margins_of
 from hpid_ros.tuning.identify import JointIdentification
 from hpid_ros.tuning.recorded_loops import recorded_controllers
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, OFFSET, STRIBECK, VISCOUS, Estimate
@@ -226,9 +226,24 @@ def upgrade_from_bag(
             "its positions, whose noise may be another"
         )
     limits = effort_limits(robot.description)  # what a recording shows may be a load's
-    wanted, parts = goal or DEFAULT_GOAL, (inertias, limits, has_velocities, phase, certifying)
-    upgraded = BagUpgrade(bag, urdf, wanted, recording, loops, warnings, found, model, *parts)
-    upgraded.proposals, upgraded.predicted = upgraded.propose(wanted)
+    upgraded = BagUpgrade(
+        bag,
+        urdf,
+        goal or DEFAULT_GOAL,
+        recording,
+        loops,
+        warnings,
+        found,
+        model,
+        inertias,
+        limits,
+        has_velocities,
+        parameters,
+        payload,
+        phase,
+        certifying,
+    )
+    upgraded.proposals, upgraded.predicted = upgraded.propose(upgraded.goal)
     if goal is None and upgraded.is_kept:
         upgraded.try_other_goals()
     return upgraded
@@ -316,7 +331,11 @@ def _inertias(
 
 
 def pid_margins(
-    settings: LoopSettings, inertia: tuple[float, float], model: RobotModel, period: float
+    settings: LoopSettings,
+    inertia: tuple[float, float],
+    model: RobotModel,
+    period: float,
+    has_velocities: bool,
 ) -> Margins | str:
     """Return the worst margins of a PID on the joint as it was identified, or why it has none."""
     joint = settings.joint
@@ -324,11 +343,13 @@ def pid_margins(
     delay = model.facts[joint].delay if joint in model.facts else 0
     try:
         settings = settings.with_parameters({"control_period": period})
+        if settings.velocity.is_measured and not has_velocities:
+            settings = settings.with_parameters({"velocity_source": "filtered"})
         family = loop_family(settings, inertia_of(settings, inertia), damping, delay * period)
-        ends = [margins_of(family.loop(each)) for each in family.inertia]
+        ends = [Case(each, 1.0, margins_of(family.loop(each))) for each in family.inertia]
     except HpidError as error:
         return str(error)
-    return min(ends, key=lambda each: each.disk)
+    return FamilyMargins(tuple(ends)).worst or "unstable"
 
 
 def _ratio(value: float, other: float) -> float:
@@ -387,6 +408,8 @@ class BagUpgrade:
     inertias: Mapping[str, tuple[float, float]]  # [kg m^2] least and largest, by joint
     limits: Mapping[str, float]  # [N m] of the motors, by joint
     has_velocities: bool  # whether the robot measures them
+    parameters: Path | None  # file of the controllers' parameters, if one was given
+    payload: float  # [kg] largest that inertias are certified for
     phase: Callable[[str], None]
     certifying: Certifying
     proposals: Proposals = field(init=False)  # the PID where nothing is gained
@@ -397,10 +420,9 @@ class BagUpgrade:
     @cached_property
     def margins(self) -> dict[str, Margins | str]:
         """The worst margins of each PID along the recording, or why there are none."""
-        period = median_period(self.recording.joints[0])
+        known = self.model, median_period(self.recording.joints[0]), self.has_velocities
         return {
-            each.joint: pid_margins(each, self.inertias[each.joint], self.model, period)
-            for each in self.loops
+            each.joint: pid_margins(each, self.inertias[each.joint], *known) for each in self.loops
         }
 
     @property

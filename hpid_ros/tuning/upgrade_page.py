@@ -42,13 +42,16 @@ _HALF = 0.5
 def first_steps(found: BagUpgrade, files: Mapping[str, Path]) -> list[tuple[str, Sequence[str]]]:
     """Return what to do, each in words and as lines of commands, if there are any."""
     bag, robot = (shlex.quote(str(each)) for each in (found.bag, found.urdf))
+    params = f" --params {shlex.quote(str(found.parameters))}" if found.parameters else ""
+    payload = f" --payload {found.payload:g}" if found.payload else ""
+    again = f"hpid upgrade {bag} --urdf {robot}{params}{payload}"
     if not found.prediction.is_credible:
         return [
             (
                 "See which joint's efforts the model does not explain.",
                 (f"hpid identify {bag} --urdf {robot} --plot efforts.png",),
             ),
-            ("See whether the parameters are those that ran.", (f"hpid replay {bag}",)),
+            ("See whether the parameters are those that ran.", (f"hpid replay {bag}{params}",)),
         ]
     changed = [each for each in found.settings if each.law == "hpid"]
     if not changed:
@@ -57,7 +60,7 @@ def first_steps(found: BagUpgrade, files: Mapping[str, Path]) -> list[tuple[str,
             *(
                 (
                     f"To see what the goal {goal} proposes, ask for it.",
-                    (f"hpid upgrade {bag} --urdf {robot} --goal {goal} -o {goal}.yaml",),
+                    (f"{again} --goal {goal} -o {goal}.yaml",),
                 )
                 for goal in found.others
             ),
@@ -186,10 +189,12 @@ def _expected(index: Quantity, expected: Expected) -> str:
 def doubts(found: BagUpgrade) -> list[str]:
     """Return what the prediction must be read with, one line each."""
     lines = list(found.warnings)
-    lines += [f"{name} is not upgraded: {why}" for name, why in found.proposals.failures.items()]
+    for name, why in found.proposals.failures.items():
+        lines.append(_own(found, name, f"{name} is not upgraded: {why}"))
     for joint, margins in found.margins.items():
         if isinstance(margins, str):
-            lines.append(f"{joint}: your PID has no margins on the identified joint: {margins}")
+            line = f"{joint}: your PID has no margins on the identified joint: {margins}"
+            lines.append(_own(found, joint, line))
         elif margins.phase < _THIN_PHASE:
             degrees = math.degrees(margins.phase)
             lines.append(f"{joint}: your PID has a phase margin of only {degrees:.0f} degrees")
@@ -342,7 +347,8 @@ def _checked(settings: LoopSettings, margins: Margins | str) -> list[str]:
 
 def _assumed(found: BagUpgrade) -> Iterator[Block]:
     yield from (Paragraph(text) for text in ASSUMED)
-    rows = [(joint, line) for joint, lines in found.model.assumptions.items() for line in lines]
+    assumed = found.model.assumptions
+    rows = [(joint, _own(found, joint, line)) for joint in assumed for line in assumed[joint]]
     if rows:
         yield Heading("What the recording did not tell")
         yield PlainTable(
@@ -357,14 +363,13 @@ def _changes(found: BagUpgrade) -> Iterator[Block]:
         for name, value in each.settings.to_parameters().items():
             was = before[joint][name]
             if _text(was) != _text(value):
-                reason = each.reasons.get(name, "")
-                reason = of_slide(reason) if joint in found.identification.slides else reason
+                reason = _own(found, joint, each.reasons.get(name, ""))
                 rows.append((joint, name, _text(was), _text(value), reason))
     yield PlainTable(
         "What will change", ("joint", "parameter", "was", "becomes", "why"), rows, is_prose=True
     )
     kept = [
-        (joint, each.reasons["law"])
+        (joint, _own(found, joint, each.reasons["law"]))
         for joint, each in found.proposals.found.items()
         if each.settings.law == "pid"
     ]
@@ -382,6 +387,11 @@ def _changes(found: BagUpgrade) -> Iterator[Block]:
             ],
         )
     yield Paragraph("Gains, limits and everything that is not named stay as they were.")
+
+
+def _own(found: BagUpgrade, joint: str, text: str) -> str:
+    """Return a text about a joint in the joint's own units."""
+    return of_slide(text) if joint in found.identification.slides else text
 
 
 def _text(value: object) -> str:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,14 @@ from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.reference import Motion
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LoopSettings, NormSettings
 from hpid_ros.messages.messages import read_retunes
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries, RunSeries, complete_run
 from hpid_ros.metrics.comparison import Comparison, mismatches
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure_all
 from hpid_ros.metrics.quantities import INDICES, ITAE, IVC, Quantity
+from hpid_ros.metrics.results import for_json
 from hpid_ros.motion.joint_trajectory import Column, Knot
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.drives import DriveSettings
@@ -251,7 +252,10 @@ class Prediction:
     def as_text(self) -> str:
         joints = {
             name: {
-                "indices": {key: each._asdict() for key, each in known.items()},
+                "indices": {
+                    key: dict(zip(each._fields, map(for_json, each), strict=True))
+                    for key, each in known.items()
+                },
                 "parameters": dict(self.parameters.get(name, {})),
             }
             for name, known in self.joints.items()
@@ -271,6 +275,10 @@ def over(value: float, other: float) -> float:
     return value / other if other else math.nan
 
 
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
 def read_prediction(path: Path) -> Prediction:
     """Return the prediction that ``hpid upgrade BAG`` has written with the parameter file."""
     try:
@@ -286,7 +294,7 @@ def read_prediction(path: Path) -> Prediction:
             {
                 str(name): {
                     index.key: Expected(
-                        *(float(each["indices"][index.key][of]) for of in Expected._fields)
+                        *(_number(each["indices"][index.key][of]) for of in Expected._fields)
                     )
                     for index in INDICES
                 }
@@ -389,10 +397,13 @@ def _ran(prediction: Prediction, after: Path) -> tuple[tuple[str, ...], tuple[st
         if joint not in controllers:
             continue
         ran = controllers[joint].settings.to_parameters()
+        has_norm = proposed.get("law") != "pid"  # a PID's makes no difference
         unlike = [
             f"{name} {ran.get(name)!r} for {value!r}"
             for name, value in proposed.items()
-            if name in _CHECKED and not _is_same(ran.get(name), value)
+            if name in _CHECKED
+            and (has_norm or not name.startswith("norm."))
+            and not _is_same(ran.get(name), value)
         ]
         if unlike:
             others.append(f"{joint} did not run what was proposed: {', '.join(unlike)}")
@@ -404,7 +415,11 @@ def _ran(prediction: Prediction, after: Path) -> tuple[tuple[str, ...], tuple[st
     return tuple(others), ()
 
 
-_CHECKED = ("law", "gains.p", "gains.i", "gains.d", "mu", "norm.type", "norm.effort_scale")
+_CHECKED = (
+    *("law", "gains.p", "gains.i", "gains.d", "mu", "discretization"),
+    *(f"norm.{each.name}" for each in fields(NormSettings)),
+    *("velocity_source", "velocity_filter_time_constant"),
+)
 
 
 def _is_same(ran: object, proposed: object) -> bool:

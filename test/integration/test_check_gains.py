@@ -29,6 +29,14 @@ def test_a_degree_that_is_not_certified_makes_the_exit_code(capsys):
     assert verify_certificate(certificate).rate > 0.0
 
 
+def test_a_multiplier_without_bound_is_null(tmp_path, capsys):
+    given = {"joint": "a", "gains": {"p": 5.0, "i": 2.0, "d": 2.0}, "inertia": 1.0, "mu": -0.1}
+    file = tmp_path / "floor.yaml"
+    file.write_text(json.dumps({"a": {"ros__parameters": {**given, "norm": {"floor": 0.0}}}}))
+    _, verdicts = checked([str(file)], capsys)
+    assert verdicts["a"]["sampling_margin"] is verdicts["a"]["multipliers"][1] is None
+
+
 def test_an_unstable_pid_is_shown_with_its_numbers(hpid):
     code, printed, _ = hpid("check-gains", "--p", 1, "--i", 9, "--d", 1, "--inertia", 1)
     assert code == FAILED

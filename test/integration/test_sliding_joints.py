@@ -7,6 +7,7 @@ import re
 import shutil
 from argparse import Namespace
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from harness.studies import compared
 
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.options import sliding_joints
+from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.messages.series import RunSeries
 from hpid_ros.messages.storage import SLIDES, recorded_slides, slides_entry
 from hpid_ros.messages.writer import BagWriter
@@ -24,6 +26,8 @@ from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.export import FORMATS
 from hpid_ros.report.figures import figures_of
+from hpid_ros.tuning.upgrade import Proposals, Upgrade
+from hpid_ros.tuning.upgrade_page import _changes
 
 ROBOT = """<robot name="lift">
   <link name="base"/>
@@ -379,6 +383,16 @@ def test_replay_has_newtons_for_a_joint_that_slides(hpid, result, tmp_path):
     assert re.search(r" N was sent, the law answers \S+ N\b(?! m)", lift)
     assert " N m was sent" not in lift
     assert " N m was sent" in turn
+
+
+def test_what_stays_is_explained_in_units_of_the_joint():
+    loop = LoopSettings("lift", Gains(80.0, 240.0, 8.0), law="pid")
+    kept = Upgrade(loop, (0.0, 0.0), (2.5, 2.5), {"law": "2.5 to 2.5 kg m^2"})
+    slides = SimpleNamespace(slides=("lift",))
+    proposals = Proposals({"lift": kept}, {})
+    found = SimpleNamespace(loops=[loop], proposals=proposals, identification=slides, others={})
+    _, _, stays, *_ = _changes(found)
+    assert stays.rows == [("lift", "2.5 to 2.5 kg")]
 
 
 def test_an_upgrade_is_explained_in_units_of_the_joint(hpid, experiment, result, tmp_path):

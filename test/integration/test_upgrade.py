@@ -16,6 +16,7 @@ from harness.runs import indices
 
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.commands import upgrade as command_module
 from hpid_ros.cli.main import main
 from hpid_ros.cli.options import inertias_from, parameter_file
 from hpid_ros.control import Gains
@@ -27,12 +28,14 @@ from hpid_ros.simulation.settings import Encoder
 from hpid_ros.tuning.robot_identification import visited_poses
 from hpid_ros.tuning.upgrade import (
     Candidate,
+    effort_scale,
     loop_statistics,
     upgrade,
     upgrade_text,
     upgrades,
     worthwhile,
 )
+from hpid_ros.tuning.upgrade_prediction import simulate
 
 MS = 1_000_000
 ARM = ("arm_joint_1", "arm_joint_4")
@@ -48,6 +51,9 @@ def recording(counts=4096):
 def pid(**changes):
     values = {"joint": "elbow", "law": "pid", "gains": Gains(39.6, 132.0, 3.96), "inertia": 0.132}
     return loop_settings(**{**values, **changes})
+
+
+DECOUPLED = {"compensation": "decoupling", "inertia": 0.0}
 
 
 @pytest.mark.parametrize("counts", [1024, 16384])
@@ -120,6 +126,36 @@ def test_balanced_gives_all_joints_one_scale_in_units_of_effort():
     # At the same share of its largest error the wrist is firmer than its PID, the elbow gentler.
     elbow, wrist = (make_law(each.settings).multiplier(0.25, 0.0) for each in proposals)
     assert elbow < 1.0 < wrist
+
+
+@pytest.mark.parametrize("goal", ["smooth", "fast"])
+def test_without_a_floor_no_degree_is_proposed(goal):
+    """The multiplier would be 0 or infinite at rest."""
+    found = upgrade(pid(norm__floor=0.0), (0.132, 0.132), goal)
+    assert found.settings.mu == 0.0
+    assert "at the norm's floor" in found.reasons["mu"]
+
+
+def test_no_inertia_is_written_for_a_joint_that_decouples():
+    found = upgrade(pid(gains=Gains(300.0, 1000.0, 30.0), **DECOUPLED), (1.0, 1.0), "fast")
+    assert found.settings.inertia == 0.0
+    assert "inertia" not in found.reasons
+
+
+def test_the_scale_of_joints_that_decouple_is_in_units_of_effort():
+    unit = {name: value / 0.132 for name, value in vars(pid().gains).items()}
+    statistics = loop_statistics(recording(), 0.005)
+    plain, decoupled, lacking = (
+        Candidate(loop, (1.0, 1.0), statistics)
+        for loop in (
+            pid(),
+            pid(gains=Gains(**unit), **{**DECOUPLED, "inertia": 0.132}),
+            pid(gains=Gains(**unit), **DECOUPLED),
+        )
+    )
+    assert effort_scale([decoupled]) == effort_scale([plain])
+    with pytest.raises(SettingError, match="needs the inertia of 'elbow'"):
+        effort_scale([lacking])
 
 
 def test_balanced_needs_a_recording_and_forgets_the_joints_own_scales():
@@ -354,7 +390,13 @@ def result(tmp_path_factory):
     return folder
 
 
-def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, capsys):
+def test_from_recording_to_a_file_that_runs_and_is_certified(
+    result, tmp_path, capsys, monkeypatch
+):
+    is_held = []
+    monkeypatch.setattr(
+        command_module, "simulate", lambda *given: is_held.append(given[3]) or simulate(*given)
+    )
     file = tmp_path / "upgraded.yaml"
     parameters = result / "controllers.yaml"
     command = ["upgrade", str(parameters), "--goal", "fast", "--bag", str(result / "PID")]
@@ -363,6 +405,7 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
     out, err = capsys.readouterr()
     assert "Predicted, simulated on the model" in out
     assert "simulating the PID and the proposal" in err
+    assert is_held == [True]  # the base of a URDF
     before, after = (parameter_file(each).loops for each in (parameters, file))
     assert list(before) == list(after) == [f"{joint}_controller" for joint in ARM]
     for name, settings in after.items():

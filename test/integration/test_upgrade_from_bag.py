@@ -25,7 +25,7 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.storage import PARAMETERS, custom_data, missed_entries
 from hpid_ros.messages.writer import BagWriter
-from hpid_ros.tuning.upgrade_prediction import read_prediction
+from hpid_ros.tuning.upgrade_prediction import Prediction, _ran, read_prediction
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 LINK = """<link name="{name}"><inertial><origin xyz="{at} 0 0"/><mass value="{mass}"/>
@@ -165,23 +165,30 @@ def test_an_after_that_ran_something_else_is_told_even_where_the_numbers_agree(
     assert "NOT tested: something else ran (IVC +0.0%, ITAE +0.0%)" in said
 
 
+@pytest.mark.parametrize(("name", "value"), [("mu", 0.0), ("norm.floor", 0.5)])
 def test_parameters_that_were_set_while_it_ran_are_something_else(
-    upgraded, after, tmp_path, capsys
+    upgraded, after, tmp_path, capsys, name, value
 ):
     with (
         BagReader(after) as old,
         BagWriter(tmp_path / "bag", metadata=custom_data(after)) as new,
     ):
         topics = {each.topic: new.add_topic(each.topic, each.msgtype) for each in old.connections}
+        event = parameter_event("/elbow_controller", **{name: value})
         events = new.add_topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
         for k, (topic, log_time_ns, raw) in enumerate(old.messages()):
             new.write(topics[topic], log_time_ns, raw)
             if k == 2000:
-                new.write(events, log_time_ns, parameter_event("/elbow_controller", mu=0.0))
+                new.write(events, log_time_ns, event)
     assert verified(upgraded, upgraded / "before", tmp_path / "bag") == FAILED
     said = " ".join(capsys.readouterr().out.split())
-    assert "while it ran, /elbow_controller was set: mu = 0" in said
+    assert f"while it ran, /elbow_controller was set: {name} = {value:g}" in said
     assert "NOT tested: something else ran" in said
+
+
+def test_the_norm_of_a_joint_that_keeps_its_pid_does_not_matter(place):
+    kept = {"elbow": {"law": "pid", "norm.floor": 0.5}}
+    assert _ran(Prediction("before", "fast", {}, kept), place / "before") == ((), ())
 
 
 def refused(capsys, *arguments):
@@ -250,7 +257,7 @@ def test_where_the_model_is_wrong_nothing_is_proposed(place, tmp_path, capsys):
     assert "Nothing is proposed: the simulation of your PID is far from what was recorded" in said
     assert [each.name for each in tmp_path.glob("upgrade.*")] == ["upgrade.html"]
     page = (tmp_path / "upgrade.html").read_text()
-    assert "hpid replay" in page
+    assert f"--params {tmp_path / 'other.yaml'}" in page
     for text in (said, page):
         assert "the recorder missed 7 messages on /joint_states" in text
 

@@ -33,6 +33,7 @@ from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment, initial_inertias
+from hpid_ros.metrics.results import for_json
 from hpid_ros.report.table import WideTable
 from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from hpid_ros.robot.coupling import Settling
 
 
+_RATIOS = ("integral_ratio", "sampling_margin")
 _HEADINGS = ("loop", "ok", "mu", "certified mu", "rho", "T kd", "lam", "settles", "inertia")
 
 
@@ -107,6 +109,12 @@ def _cells(verdict: GainVerdict) -> list[str | Text]:
     ]
 
 
+def _plain(verdict: GainVerdict) -> dict[str, Any]:
+    """Return plain data for JSON; what is not finite is null."""
+    numbers = {name: for_json(getattr(verdict, name)) for name in _RATIOS}
+    return {**asdict(verdict), **numbers, "multipliers": [*map(for_json, verdict.multipliers)]}
+
+
 def run(options: argparse.Namespace) -> int:
     if options.file:
         saved = saved_certificates(options.file)
@@ -119,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
         verdicts = check_gains(judged, progress)
     by_name = dict(zip(map(shown_name, loops), verdicts, strict=True))
     if options.json:
-        print(json.dumps({name: asdict(each) for name, each in by_name.items()}, indent=2))
+        print(json.dumps({name: _plain(each) for name, each in by_name.items()}, indent=2))
     else:
         slides = sliding_joints(options, experiment)
         sliding = [

@@ -35,6 +35,7 @@ from hpid_ros.live.motion import (
     chosen,
     relay_findings,
 )
+from hpid_ros.messages.messages import measures_velocity
 from hpid_ros.motion.excitation import (
     Design,
     ExcitationPlan,
@@ -276,7 +277,12 @@ def _propose(
 ) -> int:
     found = relay_findings(bag, controller, planned)
     tuned = autotuned(
-        controller.settings, found.inertia, found.delay, options.closed_loop_time, options.goal
+        controller.settings,
+        found.inertia,
+        found.delay,
+        options.closed_loop_time,
+        options.goal,
+        has_velocities=measures_velocity(bag, controller.joint),
     )
     is_slide = controller.limits.is_slide
     for line in [*_findings(found), "", *_proposal(controller, tuned)]:

@@ -36,6 +36,7 @@ from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import INDICES
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.table import ComparisonTable, TableColumn, WideTable
+from hpid_ros.robot.description import GivenRobot
 from hpid_ros.tuning.robot_identification import visited_poses
 from hpid_ros.tuning.upgrade import (
     GOALS,
@@ -91,11 +92,15 @@ def _certifying(console: Console) -> Certifying:
     return lambda count: joint_progress(console, "certified", count, is_logged=True)
 
 
+def _robot(name: str) -> GivenRobot:
+    """Return a robot, of a URDF with a base that stands still, as in ``hpid identify``."""
+    robot = load_robot(name)
+    return robot if Path(name).suffix in _YAML else replace(robot, fixed_base=True)
+
+
 def _of_bag(options: argparse.Namespace) -> int:
     files = _files(options)
-    robot = load_robot(options.urdf)
-    if Path(options.urdf).suffix not in _YAML:  # of a URDF the base stands still, as in identify
-        robot = replace(robot, fixed_base=True)
+    robot = _robot(options.urdf)
     errors = TextConsole(stderr=True)
     found = upgrade_from_bag(
         options.file,
@@ -245,7 +250,7 @@ def _of_file(options: argparse.Namespace) -> int:
         selection = BagSelection(separates_runs=True)
         recorded = read_run(options.bag, "PID", joints=joints, selection=selection).joints
     inertias = {**file.inertias, **inertias_from(options, joints, visited_poses(recorded))}
-    robot = load_robot(options.urdf) if options.urdf else None
+    robot = _robot(options.urdf) if options.urdf else None
     limits = effort_limits(robot.description) if robot else {}
     proposals, failures = propose(
         loops, inertias, recorded, limits, options.goal, _certifying(errors)

@@ -203,6 +203,7 @@ FILTERED = {"velocity_source": "filtered", "velocity_filter_time_constant": 0.00
 def test_filter_and_hold_count_as_delay():
     plain = LoopSettings.from_parameters({**RUNNING, "control_period": 0.004})
     assert effective_delay(plain, 0.003) == pytest.approx(0.005)
+    assert effective_delay(plain, 0.003, has_velocities=False) == pytest.approx(0.010)
     filtered = LoopSettings.from_parameters({**RUNNING, **FILTERED, "control_period": 0.004})
     assert effective_delay(filtered, 0.003) == pytest.approx(0.011)
 

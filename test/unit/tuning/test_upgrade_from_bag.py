@@ -88,12 +88,27 @@ def test_a_pid_is_checked_at_the_rate_at_which_it_ran():
     robot = known(JointIdentification("a", estimates(inertia=0.05, delay=2.0 * PERIOD)))
     pid = {"joint": "a", "law": "pid", "gains.p": 4.0, "gains.i": 1.0, "gains.d": 0.8}
     unsaid, said = (
-        pid_margins(LoopSettings.from_parameters({**pid, **more}), (0.1, 0.1), robot, 0.02)
+        pid_margins(LoopSettings.from_parameters({**pid, **more}), (0.1, 0.1), robot, 0.02, True)
         for more in ({}, {"control_period": 0.02})
     )
     assert unsaid == said
-    fast = pid_margins(LoopSettings.from_parameters(pid), (0.1, 0.1), robot, 0.001)
+    fast = pid_margins(LoopSettings.from_parameters(pid), (0.1, 0.1), robot, 0.001, True)
     assert said.phase < 0.9 * fast.phase
+    settings = LoopSettings.from_parameters({**pid, "velocity_source": "filtered"})
+    filtered = pid_margins(settings, (0.1, 0.1), robot, 0.001, True)
+    unmeasured = pid_margins(LoopSettings.from_parameters(pid), (0.1, 0.1), robot, 0.001, False)
+    assert unmeasured == filtered != fast
+
+
+def test_each_margin_is_the_worst_of_the_least_and_the_largest_inertia():
+    robot = known(JointIdentification("a", estimates(inertia=0.05, delay=2.0 * PERIOD)))
+    gains = {"gains.p": 4.0, "gains.i": 1.0, "gains.d": 0.8}
+    pid = LoopSettings.from_parameters({"joint": "a", "law": "pid", **gains})
+    both, light, heavy = (
+        pid_margins(pid, inertia, robot, PERIOD, True)
+        for inertia in ((0.03, 2.0), (0.03, 0.03), (2.0, 2.0))
+    )
+    assert (both.gain, both.gain_reduction) == (light.gain, heavy.gain_reduction)
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.1, 0.4, None])

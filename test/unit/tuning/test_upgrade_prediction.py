@@ -9,7 +9,13 @@ from harness.places import URDF
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.series import JointSeries
-from hpid_ros.tuning.upgrade_prediction import Expected, Prediction, recorded_motion, simulate
+from hpid_ros.tuning.upgrade_prediction import (
+    Expected,
+    Prediction,
+    read_prediction,
+    recorded_motion,
+    simulate,
+)
 
 MOVING = {key: Expected(4.0, 0.5, 1.1, 0.2) for key in ("ivc", "iavc", "itae")}
 
@@ -24,6 +30,13 @@ def test_a_joint_that_rested_without_an_effort_is_no_reason_to_doubt_the_others(
     found = prediction(arm=MOVING, turn=resting)
     assert found.is_credible
     assert found.total("ivc") == pytest.approx((4.0, 0.5, 1.1, 0.2))
+
+
+def test_a_file_says_null_of_what_is_no_number(tmp_path):
+    resting = dict.fromkeys(MOVING, Expected(0.0, math.nan, math.inf))
+    (path := tmp_path / "upgrade.json").write_text(prediction(turn=resting).as_text())
+    assert "NaN" not in path.read_text()
+    assert read_prediction(path).joints["turn"]["ivc"].before == 0.0
 
 
 def test_a_joint_whose_model_is_wrong_is():
