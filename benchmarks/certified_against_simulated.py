@@ -155,7 +155,7 @@ def try_loop(seed: int, *, is_in_effort: bool = False) -> dict[str, Any]:
         is_certified = interval.contains(degree)
         if is_certified:
             try:
-                best_spans(interval.certificate, norm)
+                best_spans(interval, norm)
             except GainError:
                 disputed += 1
         is_stable = SimulatedLoop(gains, norm).is_stable(random)

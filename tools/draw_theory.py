@@ -44,7 +44,8 @@ def norm_of_degree(degree):
 def ends(gains, norm):
     """Return the ends of the certified and of the simulated range of the degree."""
     simulated = (simulated_end(gains, norm, direction) for direction in (-1.0, 1.0))
-    return (*certified_degree_interval(gains, norm)[:2], *simulated)
+    certificate = certified_degree_interval(gains, norm)
+    return (certificate.lower, certificate.upper, *simulated)
 
 
 def simulated_end(gains, norm, direction):

@@ -20,7 +20,7 @@ from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import LARGEST_MOTION, LoopSettings, Value
 from hpid_ros.stability.certification import require_certifiable
-from hpid_ros.stability.closed_loop import DegreeInterval
+from hpid_ros.stability.closed_loop import Certificate
 from hpid_ros.stability.gain_check import LoopKind, certified_degrees, kind_of
 from hpid_ros.stability.margins import loop_family, margins_of
 
@@ -118,7 +118,7 @@ class Adviser:
             return str(error)
         if kind not in self._known:
             (found,) = certified_degrees([(settings, (inertia, inertia))])
-            if isinstance(found, DegreeInterval):
+            if isinstance(found, Certificate):
                 self._known[kind] = (found.lower, found.upper)
             else:
                 self._known[kind] = str(found)

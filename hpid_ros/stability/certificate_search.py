@@ -34,7 +34,6 @@ from hpid_ros.stability.certification import require_certifiable
 from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
-    DegreeInterval,
     Norm,
     ScaledGains,
     as_matrix,
@@ -587,7 +586,7 @@ def certified_degree_interval(
     norm_of_degree: Callable[[float], Norm],
     inertia: float | tuple[float, float] = 1.0,
     tolerance: float = 2e-3,
-) -> DegreeInterval:
+) -> Certificate:
     """Return degrees around zero for which the homogeneous PID is certified stable.
 
     Certified is the ideal loop, the law without floor or cap on a double integrator of constant
@@ -612,8 +611,7 @@ def certified_degree_interval(
             found.append(search.outward(direction, tolerance, outermost, like, certain))
             outermost = max(abs(found[-1][-1].lower), abs(found[-1][-1].upper))
             spans[each] += reversed(found[-1]) if direction < 0.0 else found[-1]
-    certificate = Certificate(gains, tuple(span for own in spans.values() for span in own))
-    return DegreeInterval(certificate.lower, certificate.upper, certificate)
+    return Certificate(gains, tuple(span for own in spans.values() for span in own))
 
 
 def certify_degree(

@@ -103,8 +103,8 @@ def _require_margins(span: CertifiedSpan, degree: float, margins: Margins) -> No
     if not (margins.monotonicity > 0.0 and margins.rate > 0.0 and margins.decay > 0.0):
         raise GainError(
             f"the certificate does not hold at degree {degree:g}, inertia {span.inertia:g} "
-            f"kg m^2: the field must enter the sphere, margin {margins.rate:.3g} 1/s, and the "
-            f"dilation leave it, {margins.monotonicity:.3g}"
+            f"kg m^2: decay margin {margins.rate:.3g} 1/s, monotonicity of the dilation "
+            f"{margins.monotonicity:.3g}: both must be positive"
         )
 
 

@@ -254,6 +254,9 @@ class Certificate:
             for inertia in self.inertias
         )
 
+    def contains(self, degree: float) -> bool:
+        return self.lower <= degree <= self.upper
+
     def to_mapping(self) -> dict[str, Any]:
         return {
             "format": FORMAT,
@@ -290,17 +293,6 @@ class Certificate:
                 raise
             raise SettingError(f"a certificate lacks or misshapes an entry: {error!r}") from None
         return cls(gains, spans)
-
-
-class DegreeInterval(NamedTuple):
-    """Degrees at which a loop is certified stable."""
-
-    lower: float  # the least one, not above 0
-    upper: float  # the largest one, not below 0
-    certificate: Certificate  # what proves it
-
-    def contains(self, degree: float) -> bool:
-        return self.lower <= degree <= self.upper
 
 
 def _norm_to_mapping(norm: Norm) -> dict[str, Any]:

@@ -26,7 +26,6 @@ from hpid_ros.stability.certification import check_certificate
 from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
-    DegreeInterval,
     as_matrix,
     effective_gains,
 )
@@ -66,7 +65,7 @@ class GainRange(NamedTuple):
     def __str__(self) -> str:
         """Return for people what it allows."""
         if not self.boxes:
-            return "linear: gains with p d > i x inertia"
+            return "mu = 0 only: any gains with p d > i x inertia"
         lower, upper = self.boxes[0].degrees[0], self.boxes[-1].degrees[1]
         here = [each for each in self.boxes if each.contains(self.settings.degree)]
         most = max((each.p[1] / self.settings.gains.p for each in here), default=1.0)
@@ -110,7 +109,7 @@ def gain_ranges(
 
 
 def _key(
-    settings: LoopSettings, inertia: tuple[float, float], interval: DegreeInterval | GainError
+    settings: LoopSettings, inertia: tuple[float, float], interval: Certificate | GainError
 ) -> Hashable:
     """Return what loops have in common whose boxes differ by units alone."""
     if isinstance(interval, GainError):
@@ -118,19 +117,19 @@ def _key(
     return kind_of(settings, inertia), settings.degree, settings.norm.effort_scale > 0.0
 
 
-def _spans(settings: LoopSettings, interval: DegreeInterval | GainError) -> list[CertifiedSpan]:
+def _spans(settings: LoopSettings, interval: Certificate | GainError) -> list[CertifiedSpan]:
     """Return the spans between the linear law and the loop's own, and some beyond."""
     if isinstance(interval, GainError):
         return []
     lower = min(0.0, settings.degree) - _BEYOND
     upper = max(0.0, settings.degree) + _BEYOND
-    spans = {(each.lower, each.upper): each for each in interval.certificate.spans}
+    spans = {(each.lower, each.upper): each for each in interval.spans}
     return [spans[ends] for ends in sorted(spans) if ends[0] < upper and lower < ends[1]]
 
 
 def _range(
     loop: Loop,
-    interval: DegreeInterval | GainError,
+    interval: Certificate | GainError,
     like: Loop,
     found: Sequence[tuple[CertifiedSpan, _Found]],
 ) -> GainRange:

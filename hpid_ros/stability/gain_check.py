@@ -28,7 +28,6 @@ from hpid_ros.stability.certification import best_spans, require_certifiable, ve
 from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
-    DegreeInterval,
     as_matrix,
     effective_gains,
     state_norm,
@@ -52,9 +51,9 @@ class LoopKind(NamedTuple):
 
 def certified_degrees(
     loops: Sequence[Loop], progress: Callable[[Sequence[str]], None] = lambda joints: None
-) -> list[DegreeInterval | GainError]:
+) -> list[Certificate | GainError]:
     """Certify many loops, see :func:`.certified_degree_interval`."""
-    found: list[DegreeInterval | GainError | None] = [None] * len(loops)
+    found: list[Certificate | GainError | None] = [None] * len(loops)
     places: dict[LoopKind, list[int]] = {}
     for place, (settings, inertia) in enumerate(loops):
         try:
@@ -97,7 +96,7 @@ def physical_units(settings: LoopSettings, inertia: tuple[float, float]) -> Numb
     return np.array([scale, scale * rate, scale * rate**2])
 
 
-def _interval(kind: LoopKind) -> DegreeInterval | None:
+def _interval(kind: LoopKind) -> Certificate | None:
     try:
         return certified_degree_interval(
             Gains(kind.p, 1.0, kind.d),
@@ -109,17 +108,16 @@ def _interval(kind: LoopKind) -> DegreeInterval | None:
 
 
 def _in_physical_units(
-    interval: DegreeInterval | None, settings: LoopSettings, inertia: tuple[float, float]
-) -> DegreeInterval | GainError:
+    certificate: Certificate | None, settings: LoopSettings, inertia: tuple[float, float]
+) -> Certificate | GainError:
     gains, (least, largest) = settings.gains, inertia
-    if interval is None:
+    if certificate is None:
         return GainError(
             f"not even degree 0 is certified: p d = {gains.p * gains.d:g} must exceed i x inertia "
             f"= {gains.i * largest:g} by more"
         )
     family = settings.norm_family
     rate, units = _rate(gains, largest), physical_units(settings, inertia)
-    certificate = interval.certificate
     middle = [0.5 * (least + largest)] * (len(certificate.inertias) - 2)
     ends = [least, largest] if len(certificate.inertias) > 1 else [largest]
     physical = dict(zip(certificate.inertias, sorted([*ends, *middle]), strict=True))
@@ -133,7 +131,7 @@ def _in_physical_units(
         )
         for span in certificate.spans
     )
-    return DegreeInterval(interval.lower, interval.upper, Certificate(gains, spans))
+    return Certificate(gains, spans)
 
 
 _GAIN_DIGITS = 9
@@ -286,7 +284,7 @@ def check_gains(
 
 
 def _verdict(
-    task: tuple[LoopSettings, tuple[float, float], DegreeInterval | GainError],
+    task: tuple[LoopSettings, tuple[float, float], Certificate | GainError],
 ) -> GainVerdict:
     settings, inertia, found = task
     low, high = inertia
@@ -294,10 +292,10 @@ def _verdict(
     degree = settings.degree
     multipliers = _multipliers(settings)
     interval, certificate, bound, reason = None, None, None, ""
-    if isinstance(found, DegreeInterval):
-        interval, certificate = (found.lower, found.upper), found.certificate.to_mapping()
+    if isinstance(found, Certificate):
+        interval, certificate = (found.lower, found.upper), found.to_mapping()
         if found.contains(degree):
-            bound = _settling_bound(settings, inertia, found.certificate)
+            bound = _settling_bound(settings, inertia, found)
         elif settings.law == "hpid":
             reason = f"mu = {degree:g} is outside the certified interval"
     else:  # Hurwitz decides for the linear law

@@ -18,7 +18,7 @@ from hpid_ros.base.errors import GainError, SettingError, unknown_name
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.stability.closed_loop import DegreeInterval
+from hpid_ros.stability.closed_loop import Certificate
 from hpid_ros.stability.gain_check import Loop, certified_degrees
 from hpid_ros.stability.margins import peak, roots
 
@@ -198,7 +198,7 @@ def design(
 def _designed(
     settings: LoopSettings,
     inertia: tuple[float, float],
-    found: DegreeInterval | GainError,
+    found: Certificate | GainError,
     delay: float,
 ) -> DesignedGains:
     is_filtered = settings.velocity.source == "filtered"

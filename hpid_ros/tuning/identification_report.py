@@ -89,7 +89,7 @@ def _amendment(
         estimate = each.reliable(name)
         if estimate is None:
             why = each.unreliable.get(name) or each.unreliable.get(each.joint) or "not looked for"
-            notes.append(f"# {key} is not told: {_one_line(why)}")
+            notes.append(f"# {key} is not identified: {_one_line(why)}")
             continue
         value, reason = estimate.value, interval(estimate, unit(name, is_slide))
         if name == INERTIA:
@@ -266,7 +266,7 @@ def _write_remarks(panel: Axes, each: JointIdentification) -> None:
         for what, reason in each.unreliable.items()
         for line in _wrapped(reason if what == each.joint else f"{what}: {reason}")
     ]
-    text = "\n".join(map(figure_text, lines or ["everything that was asked is told"]))
+    text = "\n".join(map(figure_text, lines or ["all parameters were identified"]))
     panel.text(0.0, 1.0, text, va="top", fontsize=7.5, transform=panel.transAxes)
 
 
@@ -305,8 +305,8 @@ def _caption(has_robot: bool) -> str:
         else "inertia: with the other joints at rest"
     )
     return (
-        f"SI units, delay in ms; ±: half of the 95 % interval; in brackets: not told. {inertia}. "
-        "fit: share of the effort's variance."
+        f"SI units, delay in ms; ±: half of the 95 % interval; in brackets: not identified. "
+        f"{inertia}. fit: share of the effort's variance."
     )
 
 
@@ -370,7 +370,7 @@ def _of_joint(each: JointIdentification, is_slide: bool) -> Iterator[str]:
             yield f"  nothing found: {reason}"
         else:
             words = [_SHORT.get(name, name) for name in names]
-            yield f"  {', '.join(words)} not told: {reason}"
+            yield f"  {', '.join(words)} not identified: {reason}"
 
 
 def _further(each: JointIdentification, is_slide: bool) -> Iterator[str]:

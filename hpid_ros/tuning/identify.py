@@ -94,11 +94,11 @@ _REVERSED = (
     "motor, encoder or recording has the other sign; under a controller the joint would run away"
 )
 _NO_UNIT = (
-    "it is not 1: the masses are others, a load is carried, or the efforts are in another unit "
-    "(effort unit any)"
+    "it is not 1: the masses differ from the URDF's, a load is carried, or the efforts have "
+    "another unit (--effort-unit any)"
 )
 _ON_DOUBTED_SCALE = (
-    "it stands on the efforts' scale, which is doubted; effort unit any takes the scale as found"
+    "it stands on the efforts' scale, which is doubted; --effort-unit any takes the scale as found"
 )
 _INSTRUMENTS = {True: "answer to the reference", False: "samples between"}
 _ALIKE = {

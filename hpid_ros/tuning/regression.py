@@ -305,8 +305,6 @@ class Equation:
         """Fit a model, from a delay on."""
         for _ in range(_NEWTON_STEPS):
             fit = self._fit(model, delay)
-            if not model.has_delay:
-                break
             step = float(np.clip(fit.values[-1], -2.0 * self._step, 2.0 * self._step))
             if abs(step) < _SETTLED:
                 break

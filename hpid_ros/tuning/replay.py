@@ -168,8 +168,8 @@ _SETTLED_AFTER = 200  # states without a choice, after which the likeliest branc
 _TRIED_UNANSWERED = 3  # states without a command, one after the other, that may have been received
 _SHOWN_AT_MOST = 100  # differences
 _BEGUN_BEFORE = (
-    "that the joint had only just been taken over when the recording began; it had not, and what "
-    "its controller remembered is not in the bag"
+    "that the controller started with the recording; it was already running, and its integral and "
+    "filter states are not in the bag"
 )
 _WAITED = (
     "that states which waited while the controller was stopped, or busy, got the effort in force"
@@ -381,7 +381,7 @@ class _Replay:
             elif command.effort == 0.0:
                 self._counts["zeros"] += 1
                 self._is_left = True
-                self._happened = state.stamp_ns, "the joint was left"
+                self._happened = state.stamp_ns, "the controller released the joint (zero effort)"
             else:
                 self._differ(state, command.effort, self._branches[0].effort)
         for command in self._unsolicited.get(state.stamp_ns, ()):

@@ -22,7 +22,7 @@ from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import ITAE, IVC, Quantity
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.stability.closed_loop import DegreeInterval
+from hpid_ros.stability.closed_loop import Certificate
 from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
     LARGEST_SAMPLING_MARGIN_LATE,
@@ -287,8 +287,8 @@ def _sampling_remarks(settings: LoopSettings, inertia: float) -> tuple[str, ...]
         raise GainError(
             f"the PID itself is beyond what sampling bears: {figures}; the sampled loop breaks at "
             f"{LARGEST_SAMPLING_MARGIN_LATE:g} where an effort comes one period late, as over a "
-            f"topic, and at {LARGEST_SAMPLING_MARGIN:g} at best: lower gains.d or the period, or "
-            f"say the inertia, if the PID does work"
+            f"topic, and at {LARGEST_SAMPLING_MARGIN:g} at best: lower gains.d or the period, or, "
+            f"if this PID works on the robot, give its true inertia"
         )
     return (
         f"sampling is felt by the PID itself: {figures}, above {GOOD_SAMPLING_MARGIN:g}; it "
@@ -296,7 +296,7 @@ def _sampling_remarks(settings: LoopSettings, inertia: float) -> tuple[str, ...]
     )
 
 
-def _proposal(base: Upgrade, known: float, goal: str, certified: DegreeInterval) -> Upgrade:
+def _proposal(base: Upgrade, known: float, goal: str, certified: Certificate) -> Upgrade:
     inertia, ends = base.inertia, (certified.lower, certified.upper)
     # The floor that sampling asks for depends on the inertia that is written.
     start = base.settings if known else replace(base.settings, inertia=inertia[1])

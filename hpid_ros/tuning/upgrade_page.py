@@ -205,7 +205,7 @@ def doubts(found: BagUpgrade) -> list[str]:
         off = total.fidelity - 1.0
         if not abs(off) <= _DOUBTFUL:
             lines.append(
-                f"the model does not have your robot right: your PID, simulated, has "
+                f"the identified model does not match the robot: your PID, simulated, has "
                 f"{_change(index, 1.0 + off)} than was recorded; what is expected is a guess"
             )
     return lines

@@ -155,8 +155,8 @@ def interval():
 
 
 def test_a_certificate_survives_a_file_and_holds_when_checked_anew(interval):
-    read = Certificate.from_mapping(json.loads(json.dumps(interval.certificate.to_mapping())))
-    assert read.to_mapping() == interval.certificate.to_mapping()
+    read = Certificate.from_mapping(json.loads(json.dumps(interval.to_mapping())))
+    assert read.to_mapping() == interval.to_mapping()
     margins = verify_certificate(read)
     assert min(margins) > 0.0
     assert interval.lower < -0.1
@@ -168,9 +168,9 @@ def test_a_certificate_survives_a_file_and_holds_when_checked_anew(interval):
 def test_a_certificate_holds_between_the_degrees_that_it_names(interval):
     for degree in np.linspace(interval.lower, interval.upper, 23):
         norm = WeightedNorm(float(degree), 1.0, 0.5)
-        assert min(each.rate for _, each in best_spans(interval.certificate, norm)) > 0.0
+        assert min(each.rate for _, each in best_spans(interval, norm)) > 0.0
     with pytest.raises(GainError, match="reaches from degree"):
-        best_spans(interval.certificate, WeightedNorm(0.4999, 1.0, 0.5))
+        best_spans(interval, WeightedNorm(0.4999, 1.0, 0.5))
 
 
 def with_first_span(certificate, **changes):
@@ -186,30 +186,29 @@ def with_first_span(certificate, **changes):
 def test_a_certificate_with_another_matrix_is_found_out(interval, first, cross, other):
     shape = ((first, cross, 0.0), (other, 1.0, 0.0), (0.0, 0.0, 1.0))
     with pytest.raises(GainError, match="certificate"):
-        verify_certificate(with_first_span(interval.certificate, shape=shape))
+        verify_certificate(with_first_span(interval, shape=shape))
 
 
 def test_a_certificate_of_other_gains_or_another_norm_is_found_out(interval):
-    certificate = interval.certificate
-    norms = tuple(WeightedNorm(n.degree, 1.0, 500.0) for n in certificate.spans[0].norms)
+    norms = tuple(WeightedNorm(n.degree, 1.0, 500.0) for n in interval.spans[0].norms)
     for other, words in (
-        (dataclasses.replace(certificate, gains=Gains(10.0, 45.0, 5.0)), "does not hold"),
-        (dataclasses.replace(certificate, gains=Gains(10.0, 60.0, 5.0)), "must exceed"),
-        (with_first_span(certificate, norms=norms), "does not hold"),
+        (dataclasses.replace(interval, gains=Gains(10.0, 45.0, 5.0)), "does not hold"),
+        (dataclasses.replace(interval, gains=Gains(10.0, 60.0, 5.0)), "must exceed"),
+        (with_first_span(interval, norms=norms), "does not hold"),
     ):
         with pytest.raises(GainError, match=words):
             verify_certificate(other)
 
 
 def test_what_is_no_certificate_is_refused(interval):
-    whole = interval.certificate.to_mapping()
+    whole = interval.to_mapping()
     lacking = [{k: v for k, v in whole.items() if k != key} for key in ("gains", "spans")]
     for mapping in ({}, {"format": "other"}, [], None, *lacking):
         with pytest.raises(SettingError, match=r"format|gains|spans"):
             Certificate.from_mapping(mapping)
-    first, _, *others = interval.certificate.spans
+    first, _, *others = interval.spans
     with pytest.raises(SettingError, match="follow each other"):  # a hole between them
-        dataclasses.replace(interval.certificate, spans=(first, *others))
+        dataclasses.replace(interval, spans=(first, *others))
 
 
 @pytest.mark.parametrize("degree", [-0.2, 0.0, 0.2])
@@ -278,7 +277,7 @@ def test_a_shape_that_holds_at_two_inertias_holds_between_them():
     gains = Gains(39.6, 132.0, 3.96)
     found = certified_degree_interval(
         gains, lambda mu: WeightedNorm.scaled(mu, 0.3, 0.2), (0.12, 0.16), 0.02
-    ).certificate
+    )
     least, middle, largest = (
         [span for span in found.spans if span.inertia == each] for each in found.inertias
     )

@@ -349,7 +349,7 @@ def test_a_box_of_these_gains_alone_holds_them_as_the_plugin_divides_them():
     gains = Gains(39.6, 132.0, 3.96)  # (d / u0) (u0 / p) is not d / p
     loop = loop_settings(gains=gains, norm__effort_scale=3.0, mu=-0.1), (0.1, 0.1)
     (interval,) = certified_degrees([loop])
-    alone = [(span, (1.0, np.array(span.shape))) for span in interval.certificate.spans]
+    alone = [(span, (1.0, np.array(span.shape))) for span in interval.spans]
     box = _range(loop, interval, loop, alone).boxes[0]
     assert box.rate_time == (gains.d / gains.p,) * 2
 
