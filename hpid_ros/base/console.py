@@ -38,6 +38,9 @@ class TextConsole(Console):
                 renderable = Text(plain, style=renderable.style, justify=renderable.justify)
         yield from super().render(renderable, options)
 
+    def on_broken_pipe(self) -> None:
+        raise  # what is being handled: rich would end the process with code 1
+
 
 def plain_console(width: int) -> TextConsole:
     """Return a console for texts: Unicode without colours, whatever the terminal is."""

@@ -20,6 +20,7 @@ import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from types import FrameType
 from typing import NamedTuple, TypeVar
 
@@ -106,6 +107,13 @@ def optional_libraries() -> Iterator[None]:
             f"{purpose} needs {name}, which is not installed: pip install {package} (into a venv "
             "with --system-site-packages where the system's Python is externally managed)"
         ) from error
+
+
+def require_ros(what: str) -> None:
+    if find_spec("rclpy") is None:
+        raise LibraryError(
+            f"{what} needs ROS 2 (rclpy): source its setup file, or pip install 'hpid_ros[ros]'"
+        )
 
 
 Task = TypeVar("Task")

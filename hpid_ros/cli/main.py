@@ -79,6 +79,10 @@ def _run(options: argparse.Namespace) -> int:
     except OSError as error:  # of a path or a disk, whoever looked at it
         where = f"{error.filename}: " if error.filename else ""
         print(shown(f"hpid: {where}{error.strerror or error}"), file=sys.stderr)
+        try:
+            sys.stdout.flush()
+        except OSError:  # it was that of the output, which the interpreter would flush again
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return BAD_INPUT
 
 

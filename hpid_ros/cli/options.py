@@ -127,7 +127,7 @@ def progress(console: Console, noun: str, total: int) -> Iterator[Callable[[str]
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(elapsed_when_finished=True),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as shown:
         task = shown.add_task("", total=total, rate="", note="")
@@ -208,10 +208,12 @@ def inertias_from(
     options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]] = ()
 ) -> dict[str, Range]:
     """Return the least and the largest inertia that the options say, by joint."""
-    of_all, of_one = _given(options.inertia)
+    of_all, said = _given(options.inertia)
+    of_one: dict[str, Range] = {}
     for each in (text for texts in options.inertia for text in texts if _is_file(text)):
         in_file = _of_file(Path(each))
         of_one |= {joint: in_file[joint] for joint in joints if joint in in_file}
+    of_one |= said
     require_known("joint in --inertia", of_one, joints)
     if of_all and options.urdf:
         raise SettingError(

@@ -10,6 +10,10 @@ from urllib.request import HTTPCookieProcessor, build_opener, urlopen
 
 import pytest
 
+from hpid_ros.base.console import TextConsole
+from hpid_ros.cli.commands import play as play_command
+from hpid_ros.experiment.description import load_experiment
+
 EXPERIMENT = "extends: config/experiments/paper.yaml\nname: mine\nsimulation: {engine: mujoco}\n"
 ENDED_WITHIN = 60.0
 
@@ -24,7 +28,7 @@ def play(harness, tmp_path):
     def begin(*options):
         process = subprocess.Popen(
             [sys.executable, "-m", "hpid_ros.cli.main", "play", str(file), *options],
-            env=harness.environment,
+            env=harness.environment | {"DISPLAY": ""},  # that is none
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -72,12 +76,36 @@ def test_one_command_starts_robot_controllers_and_page_and_ends_them(harness, pl
 
 
 @pytest.mark.faults
-def test_a_node_that_dies_ends_the_others_with_one_line(harness, play):
-    process, _ = play("--no-page", "--no-window")
+@pytest.mark.parametrize("name", ["mujoco_bridge", "trajectory_publisher"])
+def test_a_node_that_dies_ends_the_others_with_one_line(harness, play, name):
+    process, _ = play("--no-page")
     nodes = nodes_of(process)
-    bridge = next(pid for pid, module in nodes.items() if module.endswith("mujoco_bridge"))
-    os.kill(bridge, signal.SIGKILL)
+    node = next(pid for pid, module in nodes.items() if module.endswith(name))
+    os.kill(node, signal.SIGKILL)
     assert process.wait(ENDED_WITHIN) == 1
     (line,) = process.stderr.read().splitlines()
-    assert line.startswith("hpid: mujoco_bridge ended with code -9")
+    assert line.startswith(f"hpid: {name} ended with code -9")
     assert not any(Path(f"/proc/{pid}").exists() for pid in nodes)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "where"),
+    [
+        ({}, "this computer alone"),
+        ({"ROS_LOCALHOST_ONLY": "1"}, "this computer alone"),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, "this computer alone"),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, "the network"),
+        ({"ROS_LOCALHOST_ONLY": "0"}, "the network"),
+        ({"ROS_STATIC_PEERS": "10.0.0.2"}, "the network"),
+    ],
+)
+def test_where_the_nodes_are_seen_is_told_as_the_environment_says(
+    monkeypatch, capsys, experiment_file, chosen, where
+):
+    for name in play_command._CHOSEN:
+        monkeypatch.delenv(name, raising=False)
+    for name, value in chosen.items():
+        monkeypatch.setenv(name, value)
+    experiment = load_experiment(experiment_file())
+    play_command._print(TextConsole(), experiment, "PID", has_page=True)
+    assert f", on {where}" in capsys.readouterr().out

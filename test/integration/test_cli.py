@@ -1,5 +1,6 @@
 """The hpid command: exit codes, one clear line for bad input, nothing overwritten."""
 
+import io
 import json
 import os
 import subprocess
@@ -10,8 +11,10 @@ import pytest
 from harness.engines import needs_bullet
 from harness.studies import compared
 
+from hpid_ros.base.console import TextConsole
 from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
 from hpid_ros.cli.main import COMMANDS, main
+from hpid_ros.cli.options import progress
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.simulation.settings import ENGINES
 
@@ -118,20 +121,39 @@ def test_usage_errors_end_with_two():
         assert end.value.code == BAD_INPUT
 
 
-def test_a_reader_that_has_read_enough_is_no_error():
+@pytest.mark.parametrize(
+    ("arguments", "read"), [(["schema"], b"{\n"), (["robot", "urdf/mobile_manipulator.urdf"], b"")]
+)
+def test_a_reader_that_has_read_enough_is_no_error(arguments, read):
     command = subprocess.Popen(
-        [sys.executable, "-m", "hpid_ros.cli.main", "schema"],
+        [sys.executable, "-m", "hpid_ros.cli.main", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
     try:
-        assert command.stdout.read(2) == b"{\n"
+        assert command.stdout.read(len(read)) == read
         command.stdout.close()
         assert command.wait(60) == UNREAD
         assert command.stderr.read() == b""
     finally:
         command.kill()
         command.communicate()
+
+
+def test_a_full_disk_behind_the_output_is_one_line(monkeypatch):
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "robot", "urdf/mobile_manipulator.urdf"]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    said = "hpid: No space left on device\n"
+    assert (ended.returncode, ended.stderr) == (BAD_INPUT, said)
+
+
+def test_a_name_next_to_a_progress_bar_is_text():
+    console = TextConsole(file=io.StringIO(), force_terminal=True, width=200)
+    with progress(console, "joints", 1) as advanced:
+        advanced("[b]elbow")
+    assert "[b]elbow" in console.file.getvalue()
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -130,9 +130,10 @@ def test_what_is_written_is_taken_by_other_commands(bag, tmp_path, hpid):
     assert upgraded.is_file()
 
 
-def test_an_experiment_is_amended_by_what_was_found(bag, tmp_path, hpid):
+@pytest.mark.parametrize("share", [share_folder(), "package://hpid_ros"])
+def test_an_experiment_is_amended_by_what_was_found(bag, tmp_path, hpid, share):
     found = tmp_path / "identified.yaml"
-    paper = share_folder() / "config" / "experiments" / "paper.yaml"
+    paper = f"{share}/config/experiments/paper.yaml"
     assert hpid("identify", bag, "--urdf", paper, "-o", found)[0] == 0
     experiment = load_experiment(found)
     own = yaml.safe_load(found.read_text())["controllers"]["joints"]["arm_joint_4"]["inertia"]

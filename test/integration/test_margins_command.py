@@ -105,6 +105,20 @@ def test_of_several_loops_there_is_a_picture_each(tmp_path):
     ]
 
 
+def test_pictures_of_controllers_do_not_replace_each_other(tmp_path, refused):
+    file, plot = tmp_path / "mine.yaml", tmp_path / "m.svg"
+    file.write_text(f"extends: {PAPER}\nname: mine\ncompare: {{hPID+: {{mu: -0.2}}}}")
+    command = ["margins", str(file), "--joint", "arm_joint_1", "--plot", str(plot)]
+    assert main(command) == DONE
+    drawn = {each.name for each in tmp_path.glob("*.svg")}
+    assert drawn == {"m-hPID-arm_joint_1.svg", "m-hPID+-arm_joint_1.svg"}
+    file.write_text(
+        f"extends: {PAPER}\nname: mine\ncompare: {{a b: {{mu: -0.2}}, a-b: {{mu: -0.2}}}}"
+    )
+    told = refused(*command, "--force")
+    assert "--plot of a b arm_joint_1 and --plot of a-b arm_joint_1 must name different" in told
+
+
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     """Eight seconds of a PID on a joint of 0.105 kg m^2 with friction, excited."""

@@ -271,6 +271,11 @@ def test_nothing_is_replaced_unless_forced_and_figures_only_figures_of_ours(
     assert run(*command)[0] == BAD_INPUT
     assert run(*command, "--force")[0] == DONE
     assert (folder / "photo.png").read_text() == "mine"
+    foreign = folder / "trade_off.svg"
+    foreign.write_text("mine")
+    code, _, told = run(*command[:-1], "svg", "--force")
+    assert code == BAD_INPUT
+    assert f"hpid: {foreign} is in the way: " in told
 
 
 @pytest.mark.parametrize("option", ["--save", "--report"])

@@ -6,6 +6,7 @@ import math
 import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -322,6 +323,7 @@ def test_where_nothing_can_be_upgraded_nothing_is_written(
         (["a=0.5"], {"a": (0.5, 0.5)}),
         (["a=0.5:1", "b=2"], {"a": (0.5, 1.0), "b": (2.0, 2.0)}),
         (["3", "b=2"], {"a": (3.0, 3.0), "b": (2.0, 2.0)}),
+        (["own.yaml", "b=2"], {"a": (3.0, 3.0), "b": (2.0, 2.0)}),
         (["1", "2", "3"], "not 3"),
         (["c=1"], "unknown joint in --inertia 'c'; known: a, b"),
         (["a=x"], "not 'a=x'"),
@@ -331,7 +333,10 @@ def test_where_nothing_can_be_upgraded_nothing_is_written(
         (["nan"], "must be positive and finite"),
     ],
 )
-def test_inertia_is_said_of_all_joints_or_of_one(given, found):
+def test_inertia_is_said_of_all_joints_or_of_one(given, found, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    own = "controllers: {joints: {a: {inertia: 3}, b: {inertia: 3}}}"
+    Path("own.yaml").write_text(own)
     options = argparse.Namespace(inertia=[given], urdf=None, payload=0.0, poses=None)
     if isinstance(found, dict):
         assert inertias_from(options, ["a", "b"]) == found

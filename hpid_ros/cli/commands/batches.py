@@ -103,7 +103,7 @@ def _run_progress(console: Console, runs: int) -> Iterator[Callable[[RunRecord],
         def ended(record: RunRecord) -> None:
             nonlocal failures
             failures += bool(record.failure)
-            advanced(f"[yellow]{failures} failed" if failures else "")
+            advanced(f"{failures} failed" if failures else "")
 
         yield ended
 

@@ -105,7 +105,7 @@ def _origin(options: argparse.Namespace) -> tuple[str, str] | None:
         return None
     file = find_resource(options.urdf)
     key = "extends" if file.suffix in (".yaml", ".yml") else "description"
-    if options.urdf.startswith("package://"):
+    if key == "description" and options.urdf.startswith("package://"):
         return key, options.urdf
     try:
         return key, os.path.relpath(file.resolve(), options.output.resolve().parent)

@@ -50,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
     names = [shown_name(name) for name in file.loops]
     charts = _charts(options, dict(zip(names, families, strict=True)))
     inputs = [each for each in (options.file, options.bag) if each is not None]
-    outputs = [("--json", options.json), *(("--plot", path) for path in charts.values())]
-    refuse_outputs(outputs, force=options.force, inputs=inputs)
+    plots = [(f"--plot of {name}", path) for name, path in charts.items()]
+    refuse_outputs([("--json", options.json), *plots], force=options.force, inputs=inputs)
     measured = _measured(options, families)
     with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as progress:
         verdicts = check_gains(judged, progress)
@@ -209,5 +209,5 @@ def _charts(options: argparse.Namespace, families: Mapping[str, LoopFamily]) -> 
     ]
     if len(names) == 1:
         return {names[0]: path}
-    plain = {name: re.sub(r"[^A-Za-z0-9_.-]+", "-", name) for name in names}
+    plain = {name: re.sub(r"[^\w.+=,()-]+", "-", name) for name in names}
     return {name: path.with_stem(f"{path.stem}-{plain[name]}") for name in names}

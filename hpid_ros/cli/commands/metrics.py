@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from hpid_ros import __version__
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import SettingError, require_known
+from hpid_ros.base.errors import HpidError, SettingError, require_known
 from hpid_ros.base.files import find_resource, refuse_outputs, write_file
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE
@@ -186,6 +186,8 @@ def write_outputs(options: argparse.Namespace, found: Summary) -> list[Path]:
         if options.report is not None:
             write_file(options.report, _report_text(found))
             written.append(options.report)
+    except HpidError:  # one of them is an OSError, too
+        raise
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(f"cannot write {error.filename or 'the output'}: {reason}") from None

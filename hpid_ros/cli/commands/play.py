@@ -12,9 +12,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hpid_ros.base.errors import ExperimentError, LibraryError, RunError, require_known
+from hpid_ros.base.errors import ExperimentError, RunError, require_known
 from hpid_ros.base.names import controller_name
-from hpid_ros.base.processes import raise_if_interrupted
+from hpid_ros.base.processes import raise_if_interrupted, require_ros
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import experiment_to_run
 from hpid_ros.cli.terminal import output_console
@@ -31,15 +31,12 @@ from hpid_ros.experiment.processes import NodeGroup, parameters
 _PAGE = "live_tuner"
 _STARTS_WITHIN, _LOOK_PERIOD, _ENDS_WITHIN = 60.0, 0.1, 10.0  # [s]
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-_CHOSEN = (_RANGE, "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
+_PEERS = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
+_CHOSEN = (_RANGE, "ROS_LOCALHOST_ONLY", *_PEERS)
 
 
 def run(options: argparse.Namespace) -> int:
-    if find_spec("rclpy") is None:
-        raise LibraryError(
-            "a robot to play with needs ROS 2 (rclpy): source its setup file, or pip install "
-            "'hpid_ros[ros]'"
-        )
+    require_ros("a robot to play with")
     experiment = experiment_to_run(options)
     label = options.controller or list(experiment.controllers)[-1]
     require_known("controller", [label], experiment.controllers, ExperimentError)
@@ -93,7 +90,7 @@ def _start(
     (values,) = document.values()
     values["ros__parameters"] |= {
         "mode": "realtime",
-        "gui": has_window and "DISPLAY" in os.environ,
+        "gui": has_window and bool(os.environ.get("DISPLAY")),
         "duration": 0.0,
         # The robot would fall while its controllers are still starting.
         "wait_for_subscribers": count + 1,
@@ -117,7 +114,11 @@ def _start_page(group: NodeGroup, options: argparse.Namespace) -> bool:
 
 def _print(console: Console, experiment: Experiment, label: str, *, has_page: bool) -> None:
     joints = experiment.world.joints
-    where = "this computer alone" if _RANGE not in os.environ else "the network, as you chose"
+    chosen = _environment()
+    is_alone = chosen.get("ROS_LOCALHOST_ONLY") == "1" or (
+        chosen.get(_RANGE) == "LOCALHOST" and not any(chosen.get(name) for name in _PEERS)
+    )
+    where = "this computer alone" if is_alone else "the network, as you chose"
     node = f"/{controller_name(joints[-1])}"
     lines = [
         f"robot: {experiment.name}, {len(joints)} joints under {label}, in real time by "
@@ -154,5 +155,5 @@ def _look_after(group: NodeGroup) -> None:
     raise_if_interrupted()
     for name, node in group.nodes.items():
         code = node.process.poll()
-        if code is not None and name != REFERENCE:
+        if code is not None and (name != REFERENCE or code):
             raise RunError(f"{name} ended with code {code}: {node.last_words()}")
