@@ -137,12 +137,24 @@ def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, module_har
     assert world.drives[-1].motor is not None
 
 
+def test_joints_that_are_not_driven_keep_their_positions_of_the_file(tmp_path, module_harness):
+    places = {"arm_joint_1": 0.1, "arm_joint_2": 0.2}
+    world = {"robot": {**ROBOT["robot"], "initial_positions": places}}
+    write_document(tmp_path / "world.yaml", world)
+    given = {"joints": ["arm_joint_1"], "initial_positions": [0.3]}
+    given = bridge_parameters(world_file=str(tmp_path / "world.yaml"), **given)
+    write_document(tmp_path / "bridge.yaml", given)
+    found = bridge_settings(tmp_path / "bridge.yaml", module_harness.context.get_domain_id())
+    assert found.world.initial_positions == {**places, "arm_joint_1": 0.3}
+
+
 @pytest.mark.parametrize(
     ("file", "parameters", "message"),
     [
         ({}, {}, "world.yaml: robot is missing"),
         (ROBOT, {"encoder_counts": [1]}, "encoder_counts must have one entry for each of 8"),
         (ROBOT, {"joints": ["elbow"]}, "unknown joint 'elbow'"),
+        (ROBOT, {"payload_mass": -1.0}, "payload_mass must"),
         (None, {}, "there is no file"),
     ],
 )

@@ -11,6 +11,7 @@ import time
 import pytest
 import yaml
 from harness.bags import BagReader
+from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -65,6 +66,13 @@ def test_states_are_asked_for_when_the_latched_reference_is_in_the_bag(harness, 
 def test_a_latched_topic_without_a_message_is_not_waited_for_long(harness, tmp_path):
     harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
     record(harness, tmp_path / "bag", topics="[joint_trajectory, joint_states]")
+
+
+def test_a_recorder_that_is_refused_leaves_no_folder_and_removes_none(harness, tmp_path):
+    for bag in (tmp_path / "bag", tmp_path):
+        refused = run_node("bag_recorder", ros_arguments(bag=bag, topic="[joint_states]"))
+        assert refused.returncode == 2
+    assert list(tmp_path.iterdir()) == []
 
 
 class Events:

@@ -11,16 +11,8 @@ once, whatever the executor does, and has nodes check what must not wait for the
 Python's lock: a callback that runs long or blocks in the system gives it away, one that computes
 in C without giving it away does not, and nothing in the process helps against that.
 
-========================  ===================================================================
-SIGINT, SIGTERM, SIGHUP   the nodes are left and closed; exit code 0
-SIGTSTP, SIGTTIN, SIGTTOU joints get zero effort, the process is stopped; it goes on at SIGCONT
-any other that would end  as SIGTERM, and then the process ends by the signal
-SIGCHLD, SIGURG, ...      left alone: their default does nothing
-SIGSEGV, SIGABRT, ...     left alone: the process has crashed, and can promise nothing
-========================  ===================================================================
-
-What is ignored when the process begins stays ignored (``nohup``), but for SIGINT and SIGTERM;
-signals that have a handler by then, or get one later, keep it.
+What each signal does: docs/safety.md, section 7. One that has a handler when the process begins,
+or gets one later, keeps it.
 """
 
 from __future__ import annotations
@@ -419,11 +411,9 @@ class Supervisor:
     def _end_without_executor(self, done: str, within: float) -> NoReturn:
         frame = sys._current_frames().get(threading.main_thread().ident or 0)
         where = f" at {frame.f_code.co_filename}:{frame.f_lineno}" if frame is not None else ""
-        print(
+        _say(
             f"a callback has not returned for {within:g} s{where}: "
-            f"{done}the process ends without it",
-            file=sys.stderr,
-            flush=True,
+            f"{done}the process ends without it"
         )
         os._exit(1 if self.ends_by is None else 128 + self.ends_by)
 
@@ -596,7 +586,7 @@ def _fail(error: Exception) -> int:
     """Print one line for an unexpected error: what, and where."""
     place = traceback.extract_tb(error.__traceback__)[-1:]
     where = f" ({place[0].filename}:{place[0].lineno})" if place else ""
-    print(shown(f"{type(error).__name__}: {' '.join(str(error).split())}{where}"), file=sys.stderr)
+    _say(f"{type(error).__name__}: {' '.join(str(error).split())}{where}")
     return FAILED
 
 
@@ -630,8 +620,14 @@ def _ros_error(error: Exception) -> str:
 
 
 def _refuse(line: str, code: int = BAD_INPUT) -> int:
-    print(shown(line), file=sys.stderr)
+    _say(line)
     return code
+
+
+def _say(line: str) -> None:
+    """Print a line for whoever still reads it: the end of the process does not wait for that."""
+    with contextlib.suppress(OSError):
+        print(shown(line), file=sys.stderr, flush=True)
 
 
 def _exit_code(error: Exception) -> int:

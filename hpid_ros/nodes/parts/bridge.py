@@ -63,7 +63,8 @@ class WorldFileParameters(Record):
     """The file of a world."""
 
     world_file: str = quantity(
-        "YAML file of the world, for instance an experiment; what is given besides counts",
+        "YAML file of the world, for instance an experiment; parameters that are given as "
+        "well override it",
         default="",
     )
 
@@ -78,7 +79,7 @@ class WorldParameters(Record):
         default="",
     )
     seed: int | None = quantity(
-        "Of where each encoder's counts begin, of noise, of homing; the file's, or 0, if left out",
+        "Seed of encoder offsets, noise and homing; the file's, or 0, if left out",
         default=None,
         least=0,
     )
@@ -106,7 +107,8 @@ def read_world_file(node: Node, engine: str) -> WorldFile:
     world, joints = found.world, found.world.joints
     if asked.initial_positions:
         along = _along(joints, "initial_positions", asked.initial_positions)
-        world = replace(world, initial_positions=dict(zip(joints, along, strict=True)))
+        places = {**world.initial_positions, **dict(zip(joints, along, strict=True))}
+        world = replace(world, initial_positions=places)
     if asked.encoder_counts:
         world = replace(
             world, encoder_counts=_along(joints, "encoder_counts", asked.encoder_counts)
@@ -128,6 +130,7 @@ def _laid_over(node: Node, values: Any, robot: str, seed: int | None, engine: st
         spec = replace(parameters_of(record)[key], name=name)
         value = read_one(node, spec, note="; the file's, or its default, if left out")
         if value is not None:
+            value = spec.checked(value)
             value = list(value) if name == "joints" else value
             given.setdefault(section, {})[key] = value
     for section, entries in given.items():

@@ -301,7 +301,7 @@ class ControllerHealth(Diagnostics):
         is_slide: bool = False,
     ) -> None:
         super().__init__(node, loop.settings.joint)
-        self._node, self._loop, self._model = node, loop, model
+        self._loop, self._model = loop, model
         self._is_slide = is_slide
         self._certification, self._timing = certification, timing
         self.foreign = self.misread = 0
@@ -359,12 +359,8 @@ class ControllerHealth(Diagnostics):
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK
-        warning = (
-            self._certification.warning
-            or loop.velocity_warning
-            or self._slowness()
-            or self._model_fault()
-        )
+        recent = self._slowness(), self._model_fault()  # each counts from its last call
+        warning = self._certification.warning or loop.velocity_warning or recent[0] or recent[1]
         if not is_active:
             message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
         elif loop.state in _ON_FALLBACK:

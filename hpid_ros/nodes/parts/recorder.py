@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import shutil
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -244,6 +245,12 @@ class BagRecorder(executor.ClosingNode):
         else:
             level, message = OK, "recording"
         self._diagnostics.publish(level, message, values)
+
+    def destroy_node(self) -> None:
+        """Leave no folder in the way of the next start where this one was refused."""
+        super().destroy_node()
+        if self.supervisor is None:
+            shutil.rmtree(self._writer.path, ignore_errors=True)
 
     def close(self) -> None:
         """Finish the bag, and say what is in it and what is not."""

@@ -11,10 +11,13 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import MessageError
+from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_trajectory import decode_trajectory
+from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Supervisor
 from hpid_ros.nodes.parts import references as controller_references
+from hpid_ros.nodes.parts.controller import ControllerHealth
 from hpid_ros.nodes.parts.joint_topics import Commands, Sink
 from hpid_ros.nodes.parts.references import (
     ControllerReferences,
@@ -159,6 +162,30 @@ def test_a_check_that_raises_is_called_again(capsys):
         supervisor._wake(0)
         thread.join()
     assert "RuntimeError: the middleware" in capsys.readouterr().err
+
+
+def test_where_nobody_reads_errors_the_process_ends_all_the_same(monkeypatch):
+    unread = MagicMock(**{"write.side_effect": BrokenPipeError})
+    monkeypatch.setattr("sys.stderr", unread)
+    monkeypatch.setattr("os._exit", MagicMock(side_effect=SystemExit))
+    with pytest.raises(SystemExit):
+        Supervisor()._end_without_executor("", 60.0)
+    assert executor._attempt(lambda: 1 / 0, "next") == "next"
+    assert executor._refuse("a line") == executor.BAD_INPUT
+
+
+def test_a_warning_of_the_last_report_is_of_that_alone_also_behind_another_one():
+    certification, loop = MagicMock(warning="not certified"), MagicMock()
+    loop.counts.missed, loop.velocity_warning, loop.relay = 0, "", None
+    loop.settings.timing.control_period, loop.state = 0.001, LoopState.HOLDING
+    health = ControllerHealth(MagicMock(), loop, certification, SimpleNamespace(recent=dict))
+    health.publish = MagicMock()
+    loop.counts.missed = 900
+    health.report("active", "", "", "")
+    assert health.publish.call_args.args[1] == "not certified"
+    certification.warning = ""
+    health.report("active", "", "", "")
+    assert health.publish.call_args.args[1] == LoopState.HOLDING.value
 
 
 def test_of_a_flood_the_newest_is_decoded_and_what_all_have_got_is_decoded_once(monkeypatch):
