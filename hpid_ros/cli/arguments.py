@@ -190,8 +190,9 @@ def topics_options(group: Any) -> None:
     text = """
         --namespace NAME  which of several robots
         --states TOPIC ...  of the joint states; once for each topic of one robot
-        --commands TOPIC  of the efforts; effort: *_controller/commands are efforts, the topic of
-            the states: measured ones, none: none (found by name and type, else the measured ones)
+        --commands TOPIC  of the efforts. effort: take *_controller/commands as efforts; the topic
+            of the states: use the measured ones; none: read no efforts (found by name and type,
+            else the measured ones)
         --command-topic JOINT=TOPIC[INDEX] ...  of one joint's efforts; may be repeated
     """
     options(group, text)
@@ -309,7 +310,7 @@ def run(parser: Parser) -> None:
         {
             "hpid run": "the homogeneous PID of the paper",
             "hpid run my.yaml --controller PID": "another one",
-            "hpid run --realtime --composed": "paced by the clock, two processes",
+            "hpid run --realtime --composed": "real time, controllers in one process",
         },
     )
     experiment_options(parser)
@@ -523,7 +524,8 @@ def play(parser: Parser) -> None:
             "hpid play": "the paper's robot",
             "hpid play config/experiments/panda.yaml --engine mujoco": "an arm",
         },
-        "Nodes stay on this computer unless ROS_AUTOMATIC_DISCOVERY_RANGE says otherwise.",
+        "Nodes stay on this computer unless the environment chooses otherwise "
+        "(ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS, ROS_DISCOVERY_SERVER).",
     )
     experiment_options(parser)
     engine_options(parser)

@@ -455,7 +455,8 @@ def robot(parser: Parser) -> None:
     parser.describe(
         "FILE",
         "Show the joints of a URDF, or of an experiment's robot with all that the experiment "
-        "knows better, and what to know before it is simulated.",
+        "knows better, and what to know before it is simulated. Ends with 1 where limits are "
+        "missing.",
         {"hpid robot arm.urdf": "", "hpid robot found.yaml --save known.urdf": ""},
     )
     text = """

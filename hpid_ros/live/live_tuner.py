@@ -37,7 +37,11 @@ class TunerParameters(Record):
     open_browser: bool = quantity("Open the page where there is a display", default=True)
     rate: float = quantity("Frames a second", "Hz", default=30.0, least=5.0, most=60.0)
     button_timeout: float = quantity(
-        "Of a held button, then joints stop", "s", default=0.4, least=0.2, most=2.0
+        "Longest gap in the signal of a held button; then joints stop",
+        "s",
+        default=0.4,
+        least=0.2,
+        most=2.0,
     )
 
 

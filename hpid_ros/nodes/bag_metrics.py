@@ -73,10 +73,10 @@ class MetricsParameters(Record):
     )
     joints: tuple[str, ...] | None = quantity("Only these joints; all if left out", default=None)
     format: str = quantity(
-        f"Of the output: {', '.join(FORMATS)}", default="table", choices=tuple(FORMATS)
+        f"Format of the output: {', '.join(FORMATS)}", default="table", choices=tuple(FORMATS)
     )
     units: str = quantity(
-        f"Of angles: {', '.join(ANGLE_UNITS)}", default="rad", choices=ANGLE_UNITS
+        f"Unit of angles: {', '.join(ANGLE_UNITS)}", default="rad", choices=ANGLE_UNITS
     )
     indices: str = quantity("Comma-separated: paper, step, all, or keys", default="paper")
     keep_running: bool = quantity("Stay, with the result latched on ~/indices", default=False)

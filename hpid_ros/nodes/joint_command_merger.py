@@ -451,7 +451,7 @@ class JointCommandMerger(ManagedNode):
                 "lifecycle": lifecycle,
                 "claim": self._claim.text,
                 "topic": self._output.publisher.topic_name,
-                "activity told by": self._watch.activity_topic,
+                "activity topic": self._watch.activity_topic,
                 **(_readings(merger) if merger is not None else {}),
                 "messages withheld": self._output.withheld,
                 **health.delays.recent().readings("first answer to message"),

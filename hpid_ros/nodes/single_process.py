@@ -20,7 +20,7 @@ class ProcessParameters(Record):
     """What else runs in this process."""
 
     engine: str = quantity(
-        f"Of the bridge: {', '.join(ENGINES)}", default=ENGINES[0], choices=ENGINES
+        f"Physics engine of the bridge: {', '.join(ENGINES)}", default=ENGINES[0], choices=ENGINES
     )
 
 

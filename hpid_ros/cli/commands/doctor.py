@@ -129,7 +129,7 @@ def discovery() -> Finding:
         "; lo must be up, and a firewall let UDP through it (docs/faults.md)"
     )
     if math.isinf(took):
-        return Finding(BAD, "two nodes did not meet", remedy)
+        return Finding(BAD, "two nodes did not find each other", remedy)
     found = f"a node in another process was found, and answered, within {took:.2f} s"
     if took > _FOUND_WITHIN:
         return Finding(NOTE, found, f"that is slow; {remedy}")

@@ -76,7 +76,8 @@ def _export_plugin(
     known |= inertias_from(without_robot, joints)
     judged = [(each, inertia_of(each, known.get(each.joint))) for each in loops]
     print(
-        f"hpid: certifying {len(loops)} loops; half a minute to two for each kind", file=sys.stderr
+        f"hpid: certifying {len(loops)} loops: half a minute to two minutes for each kind of loop",
+        file=sys.stderr,
     )
     with joint_progress(
         TextConsole(stderr=True), "certified", len(loops), is_logged=True

@@ -101,7 +101,7 @@ def excite(options: argparse.Namespace) -> int:
         if ending.is_at_rest:
             console.print("the joints are at rest; controllers that run hold them")
         else:
-            console.print("nobody has seen the joints come to rest", style="red")
+            console.print("it was not seen whether the joints came to rest", style="red")
     console.print(f"recorded: {bag}", soft_wrap=True)
     if ending.is_interrupted or ending.reason:
         return INTERRUPTED if ending.is_interrupted else FAILED

@@ -183,8 +183,8 @@ class ClaimParameters(Record):
     """What a controller has for itself alone."""
 
     scope: Literal["joint", "none"] = quantity(
-        "What an active controller claims for itself alone: joint, or none: then several may "
-        "command one joint, and nobody says so but the bridge",
+        "joint: one active controller per joint; none: several may command one joint, which only "
+        "the bridge reports",
         default="joint",
         key="claim",
     )

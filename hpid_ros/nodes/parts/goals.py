@@ -130,7 +130,7 @@ def _resolved(default: float, asked: float, where: str, unit: str) -> float:
 
 @dataclass(frozen=True)
 class GoalParameters(Record):
-    """What may change while the node runs; it holds for the next goal."""
+    """What may change while the node runs: for the next goal, and for stops of the present one."""
 
     allows_partial: bool = quantity(
         "Take goals that name some joints only", default=False, key="allow_partial_joints_goal"

@@ -133,7 +133,12 @@ class StopParameters(Record):
         "How the joint is left: zero, damping for stop_duration", default="zero", key="stop"
     )
     duration: float = quantity(
-        "Of the damping stop", "s", default=0.5, least=0.0, most=_LONGEST, key="stop_duration"
+        "Duration of the damping stop",
+        "s",
+        default=0.5,
+        least=0.0,
+        most=_LONGEST,
+        key="stop_duration",
     )
 
 
