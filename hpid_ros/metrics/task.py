@@ -304,11 +304,12 @@ class EndEffector:
         """Return the link in the task frame."""
         columns = [self._column(self._series[joint], what)[at] for joint in self._arm.joints]
         poses = self._arm.poses(np.column_stack(columns))
-        if self._bases is None:
+        base = self._frame.base
+        if self._bases is None or base is None:
             return poses
         x, y, heading = self._bases[what][at].T
         turns = axis_rotations(_UP, heading)
-        origins = np.column_stack([x, y, np.zeros_like(x)])
+        origins = np.column_stack([x, y, np.full_like(x, base.height)])
         positions = origins + np.einsum("nij,nj->ni", turns, poses.positions)
         return LinkPoses(positions, turns @ poses.rotations)
 

@@ -1,6 +1,6 @@
 """Reference trajectories: sampling by joint_trajectory_controller's rules, and generators."""
 
-from hpid_ros.motion.base_path import BasePath, base_path
+from hpid_ros.motion.base_path import BasePath
 from hpid_ros.motion.generators import combined, minimum_jerk, sine, step
 from hpid_ros.motion.joint_trajectory import (
     Column,
@@ -19,7 +19,6 @@ __all__ = [
     "ReferenceSample",
     "SplineReference",
     "TrajectoryPoint",
-    "base_path",
     "combined",
     "minimum_jerk",
     "sine",

@@ -388,26 +388,6 @@ class BasePath:
         return f"leg {index} of the path, {self.times[index]:g} s to {self.times[index + 1]:g} s,"
 
 
-def base_path(
-    times: Sequence[float],
-    poses: Sequence[Sequence[float]],
-    left: str,
-    right: str,
-    radius: float,
-    separation: float,
-    *,
-    directions: Sequence[str] | None = None,
-    passes: bool = False,
-    velocity_limit: float = math.inf,
-    curvature_limit: float = _SHARPEST,
-) -> JointTrajectory:
-    """Return the wheels' trajectories of a path; arguments as for :class:`BasePath`."""
-    path = BasePath(
-        times, poses, directions=directions, passes=passes, curvature_limit=curvature_limit
-    )
-    return path.wheels(left, right, radius, separation, velocity_limit=velocity_limit)
-
-
 def _checked_times(times: Sequence[float], count: int) -> tuple[int, ...]:
     if len(times) != count or count < 2:
         raise TrajectoryError(

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from hpid_ros.base.errors import ReachError, TrajectoryError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers, Vector
-from hpid_ros.motion.base_path import BACKWARD, FORWARD, base_path
+from hpid_ros.motion.base_path import BACKWARD, FORWARD, BasePath
 from hpid_ros.motion.generators import combined
 from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint, segment
 from hpid_ros.robot.description import LinkPose, RobotDescription
@@ -71,7 +71,9 @@ class PlanOptions(Record):
         default=1.5,
         least=0.0,
     )
-    grip_time: float = quantity("Wait after it", "s", default=0.3, least=0.0)
+    grip_time: float = quantity(
+        "Wait after the fingers have closed or opened", "s", default=0.3, least=0.0
+    )
     arm_speed: float = quantity(
         "Largest joint speed, as a share of the joint's limit", default=0.35, above=0.0, most=1.0
     )
@@ -160,6 +162,12 @@ class ArmMotion:
     def __init__(self, arm: Kinematics, start: npt.ArrayLike, speed: float) -> None:
         self._arm = arm
         joints = arm.description.select(arm.joints)
+        for joint in joints:
+            if math.isinf(joint.velocity):
+                raise TrajectoryError(
+                    f"{joint.name} has no velocity limit: robot.joints.{joint.name}.velocity "
+                    "must give one"
+                )
         self._speeds = speed * np.array([joint.velocity for joint in joints])
         self.time_ns = 0
         self._rows = [self._at_rest(np.asarray(start, dtype=float))]
@@ -284,16 +292,10 @@ class BaseMotion:
     def trajectory(self, base: DifferentialDrive, velocity_limit: float) -> JointTrajectory:
         if len(self._poses) == 1:
             self._add(self.pose, self.time_ns + NANOSECONDS)
-        return base_path(
-            [time_ns / NANOSECONDS for time_ns in self._times_ns],
-            self._poses,
-            base.left,
-            base.right,
-            base.radius,
-            base.separation,
-            directions=self._directions,
-            velocity_limit=velocity_limit,
-        )
+        times = [time_ns / NANOSECONDS for time_ns in self._times_ns]
+        path = BasePath(times, self._poses, directions=self._directions)
+        wheels = (*base.joints, base.radius, base.separation)
+        return path.wheels(*wheels, velocity_limit=velocity_limit)
 
     def _after(self, seconds: float) -> int:
         """Return when a piece of this mean duration ends, in [ns], at a whole millisecond."""
@@ -461,12 +463,12 @@ class _Planner:
         try:
             arm.move(self._solve(above, station, self._folded).round(10))
             self._note(f"above {what}", goal, above)
-            arm.line(_seen_from(station, at_it), options.line_speed)
+            arm.line(self._seen_from(station, at_it), options.line_speed)
             arm.wait(options.settle)
             self._note(what, goal, at_it)
             self.grips.append(Grip(arm.time_ns, what == "pick", goal.name))
             arm.wait(options.grip_time)
-            arm.line(_seen_from(station, above), options.line_speed)
+            arm.line(self._seen_from(station, above), options.line_speed)
             self._note("lifted" if what == "pick" else "retreated", goal, above)
         except (ReachError, TrajectoryError) as error:
             raise TrajectoryError(f"brick {goal.name!r}, {what}: {error}") from None
@@ -476,19 +478,19 @@ class _Planner:
         self.poses.append(TaskPose(self._arm_motion.time_ns, phase, goal.name, pose))
 
     def _solve(self, hand: LinkPose, station: PlanePose, start: Numbers) -> Numbers:
-        return self._arm.solve(_seen_from(station, hand), start)
+        return self._arm.solve(self._seen_from(station, hand), start)
 
     def _hand(self, where: Placement, quarter: int, height: float) -> LinkPose:
         """Return the hand at a height above a brick's centre, in ``odom``."""
         turn = where.yaw + quarter * math.tau / _QUARTERS
         return LinkPose(np.add(where.position, (0.0, 0.0, height)), about_z(turn) @ _DOWN)
 
-
-def _seen_from(station: PlanePose, pose: LinkPose) -> LinkPose:
-    """Return a pose in ``odom`` as the base at a station sees it."""
-    x, y, heading = station
-    back = about_z(-heading)
-    return LinkPose(back @ (pose.position - [x, y, 0.0]), back @ pose.rotation)
+    def _seen_from(self, station: PlanePose, pose: LinkPose) -> LinkPose:
+        """Return a pose in ``odom`` as the base at a station sees it."""
+        x, y, heading = station
+        height = 0.0 if self._robot.base is None else self._robot.base.height
+        back = about_z(-heading)
+        return LinkPose(back @ (pose.position - [x, y, height]), back @ pose.rotation)
 
 
 def about_z(angle: float) -> Numbers:

@@ -68,9 +68,10 @@ def step(times: Sequence[float], positions: Mapping[str, Sequence[float]]) -> Jo
     return JointTrajectory(tuple(positions), tuple(points))
 
 
-def sine(
-    duration: float, positions: Mapping[str, Mapping[str, float]], knots_per_period: int = 64
-) -> JointTrajectory:
+_KNOTS = 64  # pieces in the shortest period
+
+
+def sine(duration: float, positions: Mapping[str, Mapping[str, float]]) -> JointTrajectory:
     """Follow ``offset + amplitude sin(2 pi t / period + phase)`` in each joint.
 
     The signal is given by quintic pieces; with 64 of them in the shortest period the error is
@@ -80,7 +81,6 @@ def sine(
         duration: Length in [s].
         positions: For each joint ``offset`` [rad], ``amplitude`` [rad], ``period`` [s] and
             ``phase`` [rad]; all but the amplitude and period may be left out.
-        knots_per_period: Pieces in the shortest period.
 
     Raises:
         TrajectoryError: Numbers that make no trajectory.
@@ -103,7 +103,7 @@ def sine(
     if not signals:
         raise TrajectoryError("a sine must name at least one joint")
     fastest = max(rate for _, _, rate, _ in signals)
-    pieces = duration * fastest / (2.0 * math.pi) * knots_per_period
+    pieces = duration * fastest / (2.0 * math.pi) * _KNOTS
     if not pieces <= _MOST_PIECES:
         raise TrajectoryError(
             f"the shortest period is too short: {duration} s of it would have more than "

@@ -11,7 +11,7 @@ from hpid_ros.base.errors import HpidError, TrajectoryError, unknown_name
 from hpid_ros.base.records import Record, Section, from_mapping, quantity, take_record
 from hpid_ros.base.schema import json_schema
 from hpid_ros.base.units import Vector
-from hpid_ros.motion.base_path import FORWARD, base_path
+from hpid_ros.motion.base_path import FORWARD, BasePath
 from hpid_ros.motion.bricks import (
     BrickGoal,
     BrickPlan,
@@ -87,19 +87,15 @@ class PathSection(Record):
 
     def trajectory(self, kind: str) -> JointTrajectory:
         legs = self.directions
-        limits = {
-            name: value
-            for name in ("velocity_limit", "curvature_limit")
-            if (value := getattr(self, name)) is not None
-        }
-        return base_path(
+        path = BasePath(
             self.times,
             self.poses,
-            *asdict(self.base).values(),
             directions=[legs] * (len(self.poses) - 1) if isinstance(legs, str) else legs,
             passes=self.passes,
-            **limits,
+            curvature_limit=self.curvature_limit or math.inf,
         )
+        wheels = asdict(self.base).values()
+        return path.wheels(*wheels, velocity_limit=self.velocity_limit or math.inf)
 
 
 _KINDS: dict[str, type[Waypoints | Oscillations | PathSection]] = {
@@ -151,6 +147,8 @@ def _combined(section: Section) -> JointTrajectory:
 BRICKS = "bricks"
 HAND = "payload"
 """Link that holds a brick where ``scene.gripper`` names none."""
+OPENING = 0.078
+"""Of the gripper, in [m], where ``scene.gripper`` gives none."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +227,7 @@ def planned_reference(
     scene = root.section("scene", {})
     gripper, boxes = scene.section("gripper", {}), scene.section("bricks", {})
     known = {name: take_record(KnownBox, boxes.section(name)) for name in boxes.items()}
-    opening = gripper.number("opening", above=0.0) if "opening" in gripper else math.inf
+    opening = gripper.number("opening", OPENING, above=0.0)
     hand = gripper.text("link", HAND)
     own = from_mapping(RobotSection, root.take("robot"), "robot", TrajectoryError)
     description = own.load(load_robot)

@@ -209,7 +209,9 @@ class _Motion(NamedTuple):
             positions[each.joint] = self._sampled(instants, each.state_stamps_ns, column)[:, 0]
         poses = link_poses(self.description, positions, count)
         x, y, heading = np.zeros((3, count)) if base is None else base.T
-        turns, origins = axis_rotations(_UP, heading), np.column_stack([x, y, np.zeros_like(x)])
+        drive = self.world.base
+        height = np.full(count, 0.0 if base is None or drive is None else drive.height)
+        turns, origins = axis_rotations(_UP, heading), np.column_stack([x, y, height])
         found = []
         for link in self.links:
             places = origins + np.einsum("nij,nj->ni", turns, poses[link].positions)

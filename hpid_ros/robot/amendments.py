@@ -69,10 +69,6 @@ def _text(numbers: Numbers) -> str:
 
 ElementTree.register_namespace("drake", DRAKE_NAMESPACE)
 
-_TRIANGLE_SLACK = 1e-3
-"""Share of the largest principal moment by which published, rounded inertias may break the
-triangle inequality."""
-
 
 @dataclass(frozen=True)
 class JointAmendment(Record):
@@ -109,9 +105,12 @@ def principal_moments(
 
 
 def is_possible(moments: tuple[float, float, float]) -> bool:
-    """Return whether some body has these principal moments, sorted, in [kg m^2]."""
+    """Return whether some body has these principal moments, sorted, in [kg m^2].
+
+    The engines give no slack either.
+    """
     least, middle, most = moments
-    return least > 0.0 and most <= (least + middle) * (1.0 + _TRIANGLE_SLACK)
+    return least > 0.0 and most <= least + middle
 
 
 def amended(
@@ -221,7 +220,10 @@ def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterat
         (lambda j: not 0.0 < j.effort < math.inf, "no effort limit"),
         (lambda j: not 0.0 < j.velocity < math.inf, "no velocity limit"),
         (lambda j: j.damping == j.friction == 0.0, "no friction, neither viscous nor Coulomb"),
-        (lambda j: j.rotor_inertia == 0.0, "no rotor inertia: behind a gear it often is most"),
+        (
+            lambda j: j.rotor_inertia == 0.0,
+            "no rotor inertia; behind a gear the rotor is often most of a joint's inertia",
+        ),
     ]
     for is_lacking, text in lacks:
         names = tuple(joint.name for joint in joints if is_lacking(joint))
@@ -259,7 +261,7 @@ def _links(description: RobotDescription, robot: ElementTree.Element) -> Iterato
         shared[moments].append(name)
     texts = (
         (bare, "moved by a joint, but without mass: what hangs on it must have some"),
-        (weightless, "inertia without mass: it counts, though nothing is there"),
+        (weightless, "inertia without mass: the inertia is simulated all the same"),
         (impossible, "moments of inertia that no body has"),
     )
     yield from (Remark(tuple(names), text) for names, text in texts if names)
@@ -363,7 +365,9 @@ class RobotSection(Record):
     payload: float = quantity("Mass in its hand", "kg", default=0.0, least=0.0)
     fixed_base: bool = quantity("Whether its root is held, without a ground", default=False)
     initial_positions: Mapping[str, float] = quantity(
-        "Positions at the start, by joint; others are at 0", "rad", factory=dict
+        "Positions at the start, by joint; others are at 0, or at the limit nearest to it",
+        "rad",
+        factory=dict,
     )
     base: Wheels | None = quantity("The wheels of its base", default=None)
     joints: Mapping[str, JointAmendment] = quantity(

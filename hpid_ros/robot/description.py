@@ -72,6 +72,7 @@ def _places(filename: str, folder: Path | None) -> Iterator[Path]:
 DRAKE_NAMESPACE = "http://drake.mit.edu"
 MOVING_TYPES = frozenset({"revolute", "continuous", "prismatic"})
 OTHER_TYPES = frozenset({"fixed", "floating", "planar"})
+PAYLOAD_EDGE = 0.08  # [m] of a payload, a solid cube
 
 
 @dataclass(frozen=True)
@@ -171,10 +172,10 @@ def read_joint(
         child=_link(element, "child", where),
         lower=_number(limit, "lower", -math.inf, where) if is_bounded else -math.inf,
         upper=_number(limit, "upper", math.inf, where) if is_bounded else math.inf,
-        effort=_number(limit, "effort", math.inf, where),
-        velocity=_number(limit, "velocity", math.inf, where) or math.inf,  # as many write it
-        damping=_number(dynamics, "damping", 0.0, where),
-        friction=_number(dynamics, "friction", 0.0, where),
+        effort=_number(limit, "effort", math.inf, where, 0.0),
+        velocity=_number(limit, "velocity", math.inf, where, 0.0) or math.inf,  # as many write it
+        damping=_number(dynamics, "damping", 0.0, where, 0.0),
+        friction=_number(dynamics, "friction", 0.0, where, 0.0),
         rotor_inertia=rotor_inertia,
         gear_ratio=gear_ratio,
     )
@@ -202,7 +203,11 @@ def read_rotors(root: ElementTree.Element, origin: str) -> dict[str, tuple[float
 
 
 def _number(
-    element: ElementTree.Element | None, attribute: str, default: float, where: str
+    element: ElementTree.Element | None,
+    attribute: str,
+    default: float,
+    where: str,
+    least: float = -math.inf,
 ) -> float:
     """Return a finite number of an element's attribute, or the default where it is absent."""
     text = None if element is None else element.get(attribute)
@@ -214,6 +219,8 @@ def _number(
         value = math.nan
     if not math.isfinite(value):
         raise RobotDescriptionError(f"{where}: {attribute}={text!r} is not a finite number")
+    if value < least:
+        raise RobotDescriptionError(f"{where}: {attribute}={text!r} must be >= {least:g}")
     return value
 
 

@@ -133,6 +133,7 @@ class DifferentialDrive:
     right: str  # name of the right wheel's joint
     radius: float  # [m] of both wheels
     separation: float  # [m] distance between the points where the wheels touch the ground
+    height: float = 0.0  # [m] of the root link above the ground
 
     def __post_init__(self) -> None:
         for name in ("left", "right"):
@@ -158,7 +159,8 @@ class DifferentialDrive:
         """Return the drive of a robot; what is not given is read from its URDF.
 
         The radius is that of the collision shape of the wheels' links (sphere or cylinder), the
-        separation the distance of the wheels' joints along their axis.
+        separation the distance of the wheels' joints along their axis, the height the radius
+        less that of the axle in the root's frame.
         """
         if left == right:
             raise SettingError(f"the wheels must be two joints, not {left!r} twice")
@@ -180,7 +182,8 @@ class DifferentialDrive:
                     f"wheels {left!r} and {right!r} must both collide as a sphere or cylinder of "
                     f"one radius, or wheel_radius must be given"
                 )
-        return cls(left, right, radius, yl - yr if separation is None else separation)
+        height = (wheels[0].radius or radius) - zl
+        return cls(left, right, radius, yl - yr if separation is None else separation, height)
 
     @property
     def joints(self) -> tuple[str, str]:
@@ -229,12 +232,9 @@ class PlanarCovariance(NamedTuple):
 class Odometry:
     """Adds up arcs, and how uncertain they are; starts at the origin, certain of it."""
 
-    def __init__(
-        self, drive: DifferentialDrive, left: float, right: float, wheel_error: float = WHEEL_ERROR
-    ) -> None:
+    def __init__(self, drive: DifferentialDrive, left: float, right: float) -> None:
         self.drive = drive
         self._left, self._right = left, right
-        self._wheel_error = wheel_error
         self.pose = PlanarPose(0.0, 0.0, 0.0)
         self.covariance = PlanarCovariance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self.distance = self.turn = 0.0
@@ -267,7 +267,7 @@ class Odometry:
         self, of_left: float, of_right: float, distance: float, c: float, s: float
     ) -> None:
         """Carry the covariance along an arc; Siegwart and Nourbakhsh, equation 5.9."""
-        b, k = self.drive.separation, self._wheel_error
+        b, k = self.drive.separation, WHEEL_ERROR
         both = k * (of_left + of_right)
         dd, hh = 0.25 * both, both / b**2
         dh = 0.5 * k * (of_right - of_left) / b

@@ -12,7 +12,7 @@ import pinocchio
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.units import Numbers
-from hpid_ros.robot.description import MOVING_TYPES, RobotDescription
+from hpid_ros.robot.description import MOVING_TYPES, PAYLOAD_EDGE, RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 
 PAYLOAD_LINK = "payload"
@@ -82,7 +82,8 @@ def build_model(
     model.armature = armature
     if payload_mass:
         frame = model.frames[model.getFrameId(description.link(payload_link))]
-        load = pinocchio.Inertia(payload_mass, np.zeros(3), np.zeros((3, 3)))
+        moments = payload_mass * PAYLOAD_EDGE**2 / 6.0 * np.eye(3)
+        load = pinocchio.Inertia(payload_mass, np.zeros(3), moments)
         model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
     return model
 
@@ -438,7 +439,7 @@ class _Rotor(NamedTuple):
     def of(cls, model: pinocchio.Model, description: RobotDescription, name: str) -> _Rotor:
         joint, index = description.joints[name], model.getJointId(name)
         axis = model.jointPlacements[index].rotation @ np.asarray(joint.axis)
-        ratio = joint.gear_ratio if joint.gear_ratio > 1.0 else _RATIO
+        ratio = joint.gear_ratio if abs(joint.gear_ratio) > 1.0 else _RATIO
         return cls(
             velocity_index(model, name),
             int(model.parents[index]),

@@ -18,6 +18,7 @@ from __future__ import annotations
 import copy
 import ctypes
 import logging
+import math
 import os
 import sys
 import tempfile
@@ -28,14 +29,13 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from hpid_ros.base.errors import RobotDescriptionError
+from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.base.units import Vector
-from hpid_ros.robot.description import JointDescription, RobotDescription, find_mesh
+from hpid_ros.robot.description import PAYLOAD_EDGE, JointDescription, RobotDescription, find_mesh
 from hpid_ros.simulation.physics import (
     GROUND_FRICTION,
     NEGLIGIBLE_INERTIA,
     NEGLIGIBLE_MASS,
-    PAYLOAD_EDGE,
     SETTLING_TIME,
     Pose,
     Twist,
@@ -261,10 +261,13 @@ class BulletPhysics:
                         # Without this flag Bullet computes inertias of its own from the shapes.
                         flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
                     )
-                    return body
+                    failure = ""
                 except pybullet.error as error:
-                    failure = error
-            said = "; ".join(lines[-2:]) or str(failure)
+                    failure = str(error)
+            bad = [line for line in lines if "setting inertia to zero" in line]
+            if not failure and not bad:
+                return body
+            said = "; ".join(bad[:1] or lines[-2:]) or failure
             raise RobotDescriptionError(f"PyBullet cannot load the robot description: {said}")
         finally:
             Path(path).unlink(missing_ok=True)
@@ -403,6 +406,8 @@ class BulletPhysics:
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
         states: Sequence[tuple[float, float]] = self.client.getJointStates(self.body, self.driven)
+        if not math.isfinite(sum(state[0] + state[1] for state in states)):
+            raise RunError("PyBullet: the simulation diverged, a joint's state is not finite")
         return states
 
     def advance(self, torques: Sequence[float], steps: int = 1) -> None:

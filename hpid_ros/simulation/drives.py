@@ -61,7 +61,7 @@ DRIVES = ("current", "voltage")
 
 @dataclass(frozen=True)
 class Motor(Record):
-    r"""What a torque and a voltage are to each other, at the rotor.
+    r"""A DC motor without inductance: voltage, current and torque at the rotor.
 
     .. math:: i = (V - k\,\omega) / R, \qquad \tau = k\,i
 

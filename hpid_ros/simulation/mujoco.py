@@ -19,9 +19,10 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from hpid_ros.base.errors import RobotDescriptionError, RunError
+from hpid_ros.base.errors import HpidError, RobotDescriptionError, RunError
 from hpid_ros.base.units import Numbers, Vector
 from hpid_ros.robot.description import (
+    PAYLOAD_EDGE,
     JointDescription,
     RobotDescription,
     end_of,
@@ -33,7 +34,6 @@ from hpid_ros.simulation.physics import (
     GROUND_FRICTION,
     NEGLIGIBLE_INERTIA,
     NEGLIGIBLE_MASS,
-    PAYLOAD_EDGE,
     SETTLING_TIME,
     Pose,
     Twist,
@@ -91,13 +91,15 @@ class _Shape(NamedTuple):
 def build_model(settings: WorldSettings, description: RobotDescription) -> MujocoModel:
     spec = _spec(settings)
     robot = _Robot(spec, description, settings)
-    robot.build()
     touches = _Contacts(spec, settings)
-    if settings.is_touched:
-        touches.build(robot)
     try:
+        robot.build()
+        if settings.is_touched:
+            touches.build(robot)
         model = spec.compile()
-    except ValueError as error:
+    except HpidError:
+        raise
+    except (ValueError, TypeError, IndexError) as error:  # also of a malformed number
         line = " ".join(str(error).split())
         raise RobotDescriptionError(f"MuJoCo cannot load the robot description: {line}") from None
     return _indexed(model, robot, touches)

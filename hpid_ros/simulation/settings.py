@@ -17,6 +17,7 @@ from pathlib import Path
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import NANOSECONDS, Vector
+from hpid_ros.motion.references import OPENING
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.simulation.drives import DriveSettings
@@ -82,7 +83,7 @@ class Homing(Record):
         return position > self.position + (-half if was_on else half)
 
     def error(self, start: float, period: float, encoder: Encoder, chance: random.Random) -> float:
-        """Run, and return what the readings are wrong by from then on."""
+        """Do the homing run and return the constant offset of all later readings, in [rad]."""
         was_on = start > self.position
         step = math.copysign(self.speed * period, -1.0 if was_on else 1.0)
         edge = self.position + math.copysign(self.hysteresis / 2.0, step)
@@ -103,7 +104,9 @@ class Sensor(Record):
     """What measures one joint's position."""
 
     encoder_counts: int = quantity(
-        "Counts per revolution of the joint; 0 measures exactly", default=0, least=0
+        "Counts per revolution of the joint, of a slide per 2 pi m; 0 measures exactly",
+        default=0,
+        least=0,
     )
     noise: float = quantity(
         "Standard deviation of a position before it is measured", "rad", default=0.0, least=0.0
@@ -222,7 +225,7 @@ class GripperSettings(Record):
 
     link: str = quantity("Link whose frame is the grasp frame", default="payload")
     opening: float = quantity(
-        "Widest brick between the open fingers", "m", default=0.078, above=0.0
+        "Widest brick between the open fingers", "m", default=OPENING, above=0.0
     )
     tolerance: float = quantity(
         "Largest distance of a brick from the grasp frame when it is taken",
@@ -411,7 +414,10 @@ class WorldSettings:
         return [Encoder(counts, chance.random() - 0.5) for counts in self.counts]
 
     def start(self, description: RobotDescription) -> dict[str, float]:
-        """Return the position at time 0 of every moving joint, in [rad]."""
+        """Return the position at time 0 of every moving joint, in [rad].
+
+        That of a joint that is not named is 0, or the limit nearest to it.
+        """
         for name, position in self.initial_positions.items():
             joint = description.joints.get(name)
             if joint is None:
@@ -423,7 +429,10 @@ class WorldSettings:
                     f"initial_positions: {name} = {position} is not within its limits"
                     f" [{joint.lower}, {joint.upper}]"
                 )
-        return {name: float(self.initial_positions.get(name, 0.0)) for name in description.joints}
+        return {
+            name: float(self.initial_positions.get(name, min(max(0.0, joint.lower), joint.upper)))
+            for name, joint in description.joints.items()
+        }
 
     def _require_along(self, name: str) -> None:
         """Refuse a tuple that has not one entry for each driven joint; empty is none at all."""

@@ -283,6 +283,11 @@ def test_deviations_are_those_of_the_kinematics():
     assert tracking.largest_orientation == pytest.approx(0.1 * heading, rel=1e-6)
     circle = base.twist(0.5, 1.0).linear / base.twist(0.5, 1.0).angular
 
+    lowered = RobotDescription.load(ROBOT.xml.replace('<origin xyz="0 0 0.075"/>', "", 1))
+    frame = TaskFrame(lowered, "payload", DifferentialDrive.of(lowered, *WHEELS))
+    low = EndEffector(frame, RunSeries("run", (*wheels, *still))).path(10)
+    assert low.position[:, 2] == pytest.approx(figures.path(10).position[:, 2])
+
     def hand(turn):
         x, y, _ = arm.pose(pose).position
         c, s = math.cos(turn), math.sin(turn)

@@ -382,6 +382,10 @@ def test_an_amended_robot_means_the_same_on_every_machine():
             "no body has the principal moments 1, 1, 3",
         ),
         (
+            {"links": {"panda_link1": {"mass": 1, "inertia": {"ixx": 2.001, "iyy": 1, "izz": 1}}}},
+            "no body has the principal moments 1, 1, 2.001",  # nor takes an engine them
+        ),
+        (
             {"links": {"panda_link1": {"mass": 0, "inertia": {"ixx": 3, "iyy": 1, "izz": 1}}}},
             "robot.links.panda_link1: inertia must be left out where mass is 0",
         ),

@@ -10,7 +10,7 @@ from hypothesis import example, given, reject
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import TrajectoryError
-from hpid_ros.motion import BasePath, base_path
+from hpid_ros.motion import BasePath
 from hpid_ros.motion.references import reference_from
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 
@@ -27,6 +27,11 @@ POSES = [
     (0.9, 1.6, -0.2),
 ]
 DIRECTIONS = ["forward", "forward", "forward", "forward", "backward"]
+
+
+def base_path(times, poses, left, right, radius, separation, velocity_limit=math.inf, **options):
+    path = BasePath(times, poses, **options)
+    return path.wheels(left, right, radius, separation, velocity_limit=velocity_limit)
 
 
 def sampled(trajectory, end, period_ns=PERIOD_NS):

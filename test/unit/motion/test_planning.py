@@ -1,6 +1,7 @@
 """A planned brick task: within every limit, along straight lines, through every brick."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -171,8 +172,30 @@ def document(**reference):
     }
 
 
-def planned(values):
-    return planned_reference(values, "reference", lambda name: ROBOT)
+def planned(values, robot=ROBOT):
+    return planned_reference(values, "reference", lambda name: robot)
+
+
+def test_a_root_link_in_the_axle_is_as_high_above_the_ground_as_its_wheels_are_large():
+    lowered = RobotDescription.load(ROBOT.xml.replace('<origin xyz="0 0 0.075"/>', "", 1))
+    assert lowered.xml != ROBOT.xml
+    ours, other = (planned(document(), robot).trajectory for robot in (lowered, ROBOT))
+    assert len(ours.points) == len(other.points)
+    for one, two in zip(ours.points, other.points, strict=True):
+        assert one.positions == pytest.approx(two.positions, abs=1e-5)
+
+
+def test_a_gripper_that_says_no_opening_has_the_simulated_ones():
+    values = document()
+    values["scene"] = {"bricks": {"b": {"size": [0.1] * 3, "position": [0.9, 0.0, 0.18]}}}
+    with pytest.raises(TrajectoryError, match=r"the gripper's opening of 0\.078 m"):
+        planned(values)
+
+
+def test_an_arm_without_velocity_limits_gets_no_plan():
+    robot = RobotDescription.load(re.sub(r' velocity="[^"]*"', "", ROBOT.xml))
+    with pytest.raises(TrajectoryError, match=r"robot\.joints\.arm_joint_1\.velocity must give"):
+        planned(document(), robot)
 
 
 def test_a_document_says_the_whole_task():

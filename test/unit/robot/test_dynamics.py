@@ -124,7 +124,7 @@ AXES = ("0 0 1", "0 1 0", "0.6 0 0.8")
 REFLECTED = np.array([0.5, 0.3, 0.2])  # [kg m^2]
 
 
-def arm(has_rotor_bodies):
+def arm(has_rotor_bodies, ratio=RATIO):
     """Return three joints; their rotors are bodies of their own or only known by their gears."""
     links = ['<link name="l0"/>']
     for k, name in enumerate(JOINTS):
@@ -137,7 +137,7 @@ def arm(has_rotor_bodies):
             f'{origin}<axis xyz="{AXES[k]}"/><limit lower="-3" upper="3" effort="9" velocity="9"/>'
             "</joint>"
             f'<transmission name="t{k}"><joint name="{name}"/><actuator name="m{k}">'
-            f'<drake:gear_ratio value="{RATIO}"/><drake:rotor_inertia value="0"/></actuator>'
+            f'<drake:gear_ratio value="{ratio}"/><drake:rotor_inertia value="0"/></actuator>'
             "</transmission>"
         )
         if has_rotor_bodies:
@@ -152,15 +152,16 @@ def arm(has_rotor_bodies):
     return f'<robot name="arm" xmlns:drake="http://drake.mit.edu">{text}</robot>'
 
 
-def test_rotors_that_spin_need_what_bodies_of_their_own_would():
+@pytest.mark.parametrize("ratio", [RATIO, -RATIO])
+def test_rotors_that_spin_need_what_bodies_of_their_own_would(ratio):
     draw = np.random.default_rng(1).standard_normal
     motion = draw((3, len(JOINTS), 20))
-    body = InverseDynamics(RobotDescription.load(arm(False)), JOINTS)
+    body = InverseDynamics(RobotDescription.load(arm(False, ratio)), JOINTS)
     found = body.spin(*motion, REFLECTED)
     rotors = [f"rotor_{name}" for name in JOINTS]
     whole = InverseDynamics(RobotDescription.load(arm(True)), [*JOINTS, *rotors])
-    efforts = whole.efforts(*np.concatenate([motion, RATIO * motion], axis=1))
-    bodies = efforts[:3] + RATIO * efforts[3:]
+    efforts = whole.efforts(*np.concatenate([motion, ratio * motion], axis=1))
+    bodies = efforts[:3] + ratio * efforts[3:]
     expected = bodies - body.efforts(*motion) - REFLECTED[:, None] * motion[2]
     # The rotors' own inertia in links that turn is there, too: 1 / RATIO of this.
     assert found == pytest.approx(expected, abs=3.0 / RATIO * np.abs(expected).max())

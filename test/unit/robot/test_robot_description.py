@@ -96,6 +96,8 @@ def test_the_record_cannot_be_changed():
         ('<robot><link name="a"/><link name="b"/></robot>', "one root link, not 2: a, b"),
         (XML.replace('lower="-1.5"', 'lower="low"'), "lower='low' is not a finite number"),
         (XML.replace('damping="0.2"', 'damping="nan"'), "damping='nan'"),
+        (XML.replace('damping="0.2"', 'damping="-0.2"'), "damping='-0.2' must be >= 0"),
+        (XML.replace('effort="7"', 'effort="-7"'), "effort='-7' must be >= 0"),
         (XML.replace('xyz="0 1 0"', 'xyz="0 1"'), "axis '0 1' is not a direction"),
         (XML.replace('xyz="0 1 0"', 'xyz="0 0 0"'), "axis '0 0 0' is not a direction"),
         (XML.replace('"revolute"', '"revolut"'), "did you mean 'revolute'"),

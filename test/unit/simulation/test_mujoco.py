@@ -68,12 +68,25 @@ def test_mass_matrix_gravity_and_frames_are_pinocchios(source):
         assert np.allclose(data.xpos[found.links[tip]], expected, rtol=0.0, atol=1e-12)
 
 
+def test_a_payload_weighs_in_the_model_what_it_weighs_in_the_engine():
+    """Its moments count, too: most of what turns about the hand's own axis."""
+    with World(replace(SETTINGS, fixed_base=True, payload_mass=2.0)) as world:
+        model, data = world._physics.model, world._physics.data
+        mujoco.mj_forward(model, data)
+        mass = np.empty((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        rows = world._physics._velocities
+        expected = Dynamics(ROBOT, payload_mass=2.0).mass_matrix(JOINTS, {})
+        assert np.allclose(mass[np.ix_(rows, rows)], expected, rtol=0.0, atol=1e-9)
+
+
 WORLD = """<robot name="arm"><link name="world"/><link name="upper"><inertial><mass value="1"/>
 <origin xyz="0 0 -0.5"/><inertia ixx="0.1" iyy="0.1" izz="0.1"/></inertial></link>
 <joint name="shoulder" type="revolute"><parent link="world"/><child link="upper"/>
 <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="10" velocity="3"/></joint>
 <link name="tool"><inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial></link>
 <joint name="flange" type="fixed"><parent link="upper"/><child link="tool"/></joint></robot>"""
+BOX = '<collision><geometry><box size="{}"/></geometry></collision>'
 
 
 def test_a_link_may_be_called_world_and_a_mere_frame_may_say_so_with_zeros():
@@ -131,6 +144,22 @@ def test_a_shape_that_it_does_not_know_is_one_clear_line():
     odd = ROBOT.xml.replace('<sphere radius="0.03"/>', '<torus radius="0.03"/>')
     with pytest.raises(RobotDescriptionError, match="has a collision shape 'torus'"):
         World(replace(SETTINGS, robot_description=odd))
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "says"),
+    [
+        ('mass value="1"', 'mass value="1kg"', "could not convert string to float: '1kg'"),
+        ('"0 0 -0.5"', '"0 -0.5"', "incompatible function arguments"),
+        ('name="tool">', 'name="tool"><contact><stiffness value="k"/></contact>', "'k'"),
+        ('<link name="tool">', f'<link name="tool">{BOX.format("1 1")}', "incompatible"),
+        ('<link name="tool">', f'<link name="tool">{BOX.format("x")}', "'x'"),
+    ],
+)
+def test_a_malformed_number_is_one_clear_line(right, wrong, says):
+    robot = WORLD.replace(right, wrong, 1)
+    with pytest.raises(RobotDescriptionError, match=f"MuJoCo cannot load .*{says}"):
+        World(WorldSettings(robot, ("shoulder",), engine="mujoco"))
 
 
 def test_an_unstable_simulation_ends_with_a_line_and_leaves_no_file(tmp_path, monkeypatch):

@@ -24,7 +24,7 @@ from harness.worlds import (
     settings,
 )
 
-from hpid_ros.base.errors import RobotDescriptionError, SettingError
+from hpid_ros.base.errors import RobotDescriptionError, RunError, SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics
@@ -339,6 +339,29 @@ def test_a_robot_that_cannot_be_loaded_is_one_clear_line(
         World(WorldSettings(ghost, ("hinge",)))
     assert "\n" not in str(caught.value)
     assert tuple(capfd.readouterr()) == ("", "")
+
+
+def test_a_link_with_moments_that_no_body_has_is_refused(engine: str):
+    """Bullet would go on without its inertia."""
+    line = {"pybullet": "setting inertia to zero for link: body", "mujoco": r"A \+ B >= C"}
+    flat = FLYER.replace('izz="0.04"', 'izz="0.05001"')
+    with pytest.raises(RobotDescriptionError, match=line[engine]):
+        World(WorldSettings(flat, ("hinge",)))
+
+
+def test_a_simulation_that_diverges_ends_with_a_line():
+    with World(settings(velocity="differences")) as world:
+        world.set_payload(1e200)
+        with pytest.raises(RunError, match=r"PyBullet: the simulation diverged|MuJoCo: "):
+            world.step([0.0] * len(JOINTS))
+
+
+def test_a_joint_starts_within_its_limits_also_where_nothing_says_where():
+    hinged = FLYER.replace("continuous", "revolute").replace(
+        "</joint>", '<limit lower="-2" upper="-0.5" effort="1" velocity="1"/></joint>'
+    )
+    with World(WorldSettings(hinged, ("hinge",), fixed_base=True)) as world:
+        assert world.true_positions() == (-0.5,)
 
 
 def test_bad_requests_are_one_clear_line():
