@@ -36,8 +36,8 @@ SLACK = 64
 class TopicInfo(NamedTuple):
     type: str  # message type, for instance "sensor_msgs/msg/JointState"
     encoding: str  # of the messages; "cdr" in all of ROS 2
-    message_count: int | None  # number of messages by the index; None if the bag has none
     definition: str  # the type's definition as recorded; empty if it was not
+    qos: str  # offered_qos_profiles as recorded, in YAML; empty if they were not
 
 
 class TopicBatch(NamedTuple):

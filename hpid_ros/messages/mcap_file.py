@@ -217,6 +217,15 @@ class Fields:
         """Return the next map of channels to numbers."""
         return {self.number(2): self.number(8) for _ in range(self.number(4) // 10)}
 
+    def texts(self) -> dict[str, str]:
+        """Return the next map of texts to texts."""
+        end = self.number(4) + self._at
+        found: dict[str, str] = {}
+        while self._at < end:
+            name = self.text()
+            found[name] = self.text()
+        return found
+
 
 class Catalogue:
     """Schemas and channels, as their records come by; in a summary, what is in the chunks, too."""
@@ -239,10 +248,11 @@ class Catalogue:
             self._schemas[number] = name, fields.take(fields.number(4)).decode(errors="replace")
         elif opcode == CHANNEL:
             number, schema = fields.number(2), fields.number(2)
-            topic, encoding = fields.text(), fields.text()
+            topic, encoding, metadata = fields.text(), fields.text(), fields.texts()
             self._lacks_schemas |= schema != 0 and schema not in self._schemas
             kind, definition = self._schemas.get(schema, ("", ""))
-            self.channels[number] = topic, TopicInfo(kind, encoding, None, definition)
+            qos = metadata.get("offered_qos_profiles", "")
+            self.channels[number] = topic, TopicInfo(kind, encoding, definition, qos)
         elif opcode == STATISTICS:
             fields.take(8 + 2 + 4 + 4 + 4 + 4 + 8 + 8)  # totals and times
             self.counts = fields.pairs()
@@ -417,11 +427,7 @@ class McapFile:
             report("the index is missing or damaged; it was read without")
 
     def topics(self) -> dict[str, TopicInfo]:
-        counts = self._counts()
-        return {
-            topic: info._replace(message_count=None if counts is None else counts[topic])
-            for topic, info in self._catalogue.channels.values()
-        }
+        return dict(self._catalogue.channels.values())
 
     def close(self) -> None:
         self._stream.close()

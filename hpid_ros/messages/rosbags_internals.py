@@ -22,13 +22,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.errors import ReaderError
+from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
 
 from hpid_ros.base.errors import BagError
 from hpid_ros.base.processes import uninterrupted
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
+    from rosbags.interfaces import Connection, Qos
     from rosbags.rosbag2 import CompressionMode
 
 
@@ -184,3 +186,10 @@ def _require(owner: object, names: tuple[str, ...]) -> None:
             f"cannot write bags with rosbags {version('rosbags')}: its {kind.__name__} has no "
             f"{', '.join(missing)}; known to work is {KNOWN_VERSIONS}"
         )
+
+
+def recorded_qos(text: str) -> list[Qos]:
+    """Return offered profiles from their YAML; none if it cannot be read."""
+    with suppress(ReaderError, KeyError, TypeError, AttributeError):
+        return parse_qos(text)
+    return []

@@ -201,17 +201,18 @@ class SqliteFile:
             raise BagError("no bag: it has no table of topics")
         if not {"topic_id", "timestamp", "data"} <= self._columns("messages"):
             raise BagError("no bag: it has no table of messages")
-        query = "SELECT id, name, type, serialization_format FROM topics"
+        qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+        query = f"SELECT id, name, type, serialization_format, {qos} FROM topics"
         topics = self._connection.execute(query).fetchall()
         definitions: dict[str, str] = {}
         if self._columns("message_definitions"):
             query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
             definitions = dict(self._connection.execute(query).fetchall())
         found: dict[str, tuple[list[int], TopicInfo]] = {}
-        for number, name, kind, encoding in topics:
+        for number, name, kind, encoding, profiles in topics:
             if tuple(map(type, (number, name, kind, encoding))) != (int, str, str, str):
                 raise BagError("a topic has no proper number, name or type")
-            info = TopicInfo(kind, encoding, None, str(definitions.get(kind, "")))
+            info = TopicInfo(kind, encoding, str(definitions.get(kind, "")), str(profiles or ""))
             found.setdefault(name, ([], info))[0].append(number)
         return dict(sorted(found.items()))
 
@@ -380,6 +381,7 @@ def _connected(path: Path, is_cut_off: bool, report: Report) -> sqlite3.Connecti
 
 _SUFFIXES = (".mcap", ".db3")
 _ZSTD = ".zstd"
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no message begins so: CDR begins with 0
 _NO_FILES = {
     stat.S_IFDIR: "folder",
     stat.S_IFIFO: "FIFO",
@@ -507,9 +509,6 @@ class Storage:
                         f"bag {self.path}: topic {name} is {before.type} in one file and "
                         f"{info.type} in another"
                     )
-                elif None not in (before.message_count, info.message_count):
-                    both = (before.message_count or 0) + (info.message_count or 0)
-                    topics[name] = info._replace(message_count=both)
         return topics
 
     def batches(
@@ -530,7 +529,8 @@ class Storage:
             for batch in file.batches(topics, report, done):
                 found[batch.topic] += len(batch.starts)
                 batch = batch._replace(places=batch.places + number * _PLACES_PER_FILE)
-                if self._is_by_message:
+                is_compressed = len(batch.starts) and batch.raw(0).startswith(_ZSTD_MAGIC)
+                if self._is_by_message or is_compressed:  # the metadata may be missing
                     batch = self._without_compression(batch, allowance)
                 if len(batch.starts):
                     yield batch

@@ -104,14 +104,19 @@ class BagWriter:
         return {topic.name: counts[topic.connection.id] for topic in self._topics}
 
     def add_topic(
-        self, name: str, type: str, qos: TopicQos | None = None, definition: str | None = None
+        self,
+        name: str,
+        type: str,
+        qos: TopicQos | str | None = None,
+        definition: str | None = None,
     ) -> BagTopic:
         """Add a topic.
 
         Args:
             name: Its name, with the leading slash as ROS 2 resolves it.
             type: A type of ROS 2 Jazzy, for instance ``"sensor_msgs/msg/JointState"``.
-            qos: What its publisher offers; reliable and volatile if not given.
+            qos: What its publisher offers; reliable and volatile if not given. Or the profiles as
+                another bag holds them, in YAML.
             definition: The type's definition as another bag holds it, for types that Jazzy
                 lacks; empty where that has none.
 
@@ -130,7 +135,7 @@ class BagWriter:
             typestore=types,
             # The hash of a foreign type is not known here; readers do not need it.
             **({} if type in types.types else {"msgdef": definition or "", "rihs01": "unknown"}),
-            offered_qos_profiles=[_rosbags_qos(TopicQos() if qos is None else qos)],
+            offered_qos_profiles=_profiles(qos),
         )
         self._topics.append(topic := BagTopic(name, type, connection))
         return topic
@@ -233,6 +238,15 @@ class BagWriter:
             raise BagError(f"bag {self.path} {self._failure}")
 
 
+def _profiles(qos: TopicQos | str | None) -> list[Qos]:
+    """Return offered profiles in the words of rosbags."""
+    from hpid_ros.messages.rosbags_internals import recorded_qos
+
+    if isinstance(qos, str):
+        return recorded_qos(qos) or [_rosbags_qos(TopicQos())]
+    return [_rosbags_qos(qos or TopicQos())]
+
+
 def _rosbags_qos(qos: TopicQos) -> Qos:
     """Return the profile in the words of rosbags."""
     from rosbags.interfaces import (
@@ -289,7 +303,7 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
         with BagWriter(target, metadata=storage.custom_data) as writer:
             handles: dict[str, BagTopic] = {}
             for name, info in sorted(topics.items()):
-                qos = _LATCHED if info.type == JOINT_TRAJECTORY else None
+                qos = info.qos or (_LATCHED if info.type == JOINT_TRAJECTORY else None)
                 handles[name] = writer.add_topic(name, info.type, qos, info.definition)
             batches = storage.batches(frozenset(topics), progress or no_progress)
             for _, topic, time_ns, raw in _in_order(batches):

@@ -129,7 +129,12 @@ def convert(source: Path, target: Path, storage: StoragePlugin, mode: Compressio
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer, BagReader(source) as bag:
         connections = {
-            name: writer.add_connection(name, topic.msgtype, typestore=TYPES)
+            name: writer.add_connection(
+                name,
+                topic.msgtype,
+                typestore=TYPES,
+                offered_qos_profiles=topic.connections[0].ext.offered_qos_profiles,
+            )
             for name, topic in bag.topics.items()
         }
         for name, log_time_ns, raw in bag.messages():

@@ -9,16 +9,17 @@ import sys
 from pathlib import Path
 
 import pytest
-from harness.bags import BagReader
+from harness.bags import BagReader, convert
 from harness.graph import ros_arguments
 from harness.studies import wait_until
 from mcap.reader import make_reader
+from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
 
 from hpid_ros.base.errors import BagError
 from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.storage import Storage
-from hpid_ros.messages.writer import BagWriter, repair_bag
+from hpid_ros.messages.writer import BagWriter, TopicQos, repair_bag
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MS = 1_000_000
@@ -144,7 +145,22 @@ def test_a_type_that_jazzy_lacks_keeps_its_definition_or_has_none(tmp_path, defi
     repair = repair_bag(tmp_path / "bag", tmp_path / "repaired")
     assert repair.saved == {"/own": 1, "/joint_states": 1}
     with Storage(tmp_path / "repaired") as bag:
-        assert bag.topics()["/own"][::3] == ("my_msgs/msg/Own", definition)
+        info = bag.topics()["/own"]
+    assert (info.type, info.definition) == ("my_msgs/msg/Own", definition)
+
+
+@pytest.mark.parametrize("storage", StoragePlugin)
+def test_offered_qualities_of_service_are_kept(tmp_path, storage):
+    """Else RViz finds neither transforms nor model in a repaired bag that is played."""
+    offered = TopicQos(reliable=False, transient_local=True, depth=3)
+    with BagWriter(tmp_path / "bag") as bag:
+        topic = bag.add_topic("/joint_states", JOINT_STATE, offered)
+        bag.write(topic, 6, STATE.encode(6, position=[0.0]))
+    convert(tmp_path / "bag", tmp_path / "other", storage, CompressionMode.NONE)
+    (tmp_path / "other" / "metadata.yaml").unlink()
+    repair_bag(tmp_path / "other", tmp_path / "repaired")
+    with Reader(tmp_path / "bag") as before, Reader(tmp_path / "repaired") as after:
+        assert after.connections[0].ext == before.connections[0].ext
 
 
 def test_kill_minus_nine_costs_nothing_that_was_acknowledged(harness, tmp_path, faults):
