@@ -122,9 +122,9 @@ class JointLoop:
         self._following.follow(motion)
 
     def receive(self, motion: Motion) -> None:
-        """Follow a motion of somebody who may not know that there has been no state yet.
+        """Follow a motion that was received from outside.
 
-        A setpoint is no step then: where the joint will be nobody knows.
+        A setpoint that comes before the first state is glided onto, it is no step.
 
         Args:
             motion: As of :meth:`follow`.

@@ -259,8 +259,8 @@ def sampling_floor(
         feigned = norm(2.0 * resolution, 0.0) + norm(0.0, feigned_rate)
         if not feigned < cap:
             raise NormError(
-                f"the norm of what an encoder_resolution of {resolution:g} rad feigns, "
-                f"{feigned:.3g}, must lie below norm.cap = {cap:g}: it is the norm's floor"
+                f"the apparent motion of an encoder_resolution of {resolution:g} rad has the norm "
+                f"{feigned:.3g}, which is the floor and must lie below norm.cap = {cap:g}"
             )
         floor = max(floor, feigned)
     if norm.degree < 0.0 and damping_rate > 0.0:

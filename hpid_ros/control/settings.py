@@ -313,9 +313,8 @@ class EncoderSettings(Record):
     """What is known of the encoder, and which of its positions are believed."""
 
     wrap: float = quantity(
-        "The encoder begins anew after so much [rad], as a driver does that reports (-pi, pi]"
-        " or [0, 2 pi); 0 never; -1 after 2 pi where robot_description has the joint as "
-        "continuous",
+        "Range after which the reported position wraps [rad], such as 2 pi for (-pi, pi] or "
+        "[0, 2 pi); 0 never; -1 after 2 pi where robot_description has the joint as continuous",
         default=-1.0,
         least=-1.0,
         most=1000.0,
@@ -435,7 +434,7 @@ class Timing(Record):
         "Nominal time between two states", "s", default=0.001, least=1e-6, most=0.5
     )
     state_timeout: float = quantity(
-        "A longer time between two states is a gap, after which the loop takes over anew",
+        "Longest time between two states; after a longer one the loop takes over anew",
         "s",
         default=0.1,
         least=1e-6,

@@ -62,7 +62,7 @@ _OF_THE_NODE = {"joint", "state_clock"}
 """What a loop's node looks at: its name, and whether a silence may be a pause."""
 
 _IN_C = {
-    "encoder_wrap": "The encoder begins anew after so much [rad], as a driver does that reports "
+    "encoder_wrap": "Range after which the reported position wraps [rad], such as 2 pi for "
     "(-pi, pi] or [0, 2 pi); 0 and -1 never"
 }
 """What is said differently of parameters whose meaning in ROS has to do with its surroundings."""

@@ -256,9 +256,14 @@ class Plugin:
         self._library.setpoint(topic.encode(), ctypes.c_double(position))
 
     def trajectory(self, joint, stamp_ns, times_ns, *columns):
-        """Send positions and, if given, velocities and accelerations of one joint."""
-        arrays = [(ctypes.c_double * len(times_ns))(*each) for each in columns]
-        arrays += [None] * (3 - len(arrays))
+        """Send positions and, if given, velocities, accelerations and efforts of a joint.
+
+        Several names in one text have the same positions.
+        """
+        arrays = [
+            None if each is None else (ctypes.c_double * len(times_ns))(*each) for each in columns
+        ]
+        arrays += [None] * (4 - len(arrays))
         self._library.trajectory(
             b"/hpid_controller/joint_trajectory",
             joint.encode(),

@@ -1,4 +1,5 @@
 // What a test calls of an exported controller, by ctypes.
+#include <sstream>
 #include <string>
 
 #include "controller.hpp"
@@ -174,24 +175,30 @@ void setpoint(const char * topic, double position)
   send(topic, message);
 }
 
-/// Positions, velocities and accelerations of a joint: NaN for none at all.
+/// Positions, velocities, accelerations and efforts of a joint: nullptr for none at all.
 void trajectory(
   const char * topic, const char * joint, std::int64_t stamp_ns, int points,
   const std::int64_t * times_ns, const double * positions, const double * velocities,
-  const double * accelerations)
+  const double * accelerations, const double * efforts)
 {
   trajectory_msgs::msg::JointTrajectory message;
   message.header.stamp = rclcpp::Duration(stamp_ns);
-  message.joint_names = {joint};
+  std::istringstream names(joint);
+  for (std::string name; names >> name;) {
+    message.joint_names.push_back(name);
+  }
   for (int k = 0; k < points; ++k) {
     trajectory_msgs::msg::JointTrajectoryPoint point;
     point.time_from_start = rclcpp::Duration(times_ns[k]);
-    point.positions = {positions[k]};
+    point.positions.assign(message.joint_names.size(), positions[k]);
     if (velocities != nullptr) {
       point.velocities = {velocities[k]};
     }
     if (accelerations != nullptr) {
       point.accelerations = {accelerations[k]};
+    }
+    if (efforts != nullptr) {
+      point.effort = {efforts[k]};
     }
     message.points.push_back(point);
   }

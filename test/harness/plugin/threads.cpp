@@ -33,7 +33,8 @@ int main()
   for (int k = 0; !is_over; ++k) {
     const double value = k % 2 ? 40.0 : 39.6;
     set_numbers("/hpid_controller/elbow_controller", names, &value, 1);
-    trajectory("/hpid_controller/joint_trajectory", "elbow", 0, 1, &time_ns, &value, nullptr, nullptr);
+    trajectory(
+      "/hpid_controller/joint_trajectory", "elbow", 0, 1, &time_ns, &value, nullptr, nullptr, nullptr);
     setpoint("/hpid_controller/wrist_controller/setpoint", 1e-3 * value);
     if (k % 50 == 0) {
       transition("/hpid_controller/wrist_controller", k % 100 ? "deactivate" : "activate");

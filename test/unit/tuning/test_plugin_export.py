@@ -199,6 +199,18 @@ def test_a_new_trajectory_begins_where_the_reference_is_as_in_python(active):
     assert found == (-0.4, 0.0)
 
 
+def test_a_trajectory_before_the_first_cycle_begins_where_the_joint_is(make):
+    plugin, loop = make(), JointLoop(LOOPS[0])
+    plugin.activate()
+    plugin.trajectory("elbow", 0, [500 * MS], [0.8], [0.0])
+    point = TrajectoryPoint(500 * MS, (0.8,), (0.0,))
+    loop.follow(JointTrajectory(("elbow",), (point,)).column("elbow"))
+    for k in range(600):
+        found = reference_of(plugin, "elbow", 10**9 + k * MS, [(0.5, 0.0)] * 2)
+        loop.step(10**9 + k * MS, 0.5, 0.0)
+        assert found == pytest.approx(loop.reference[:2], abs=1e-12)
+
+
 def test_a_setpoint_is_a_step(active):
     rest = [(0.1, 0.0)] * 2
     assert reference_of(active, "elbow", 10**9, rest) == (0.1, 0.0)
@@ -207,21 +219,24 @@ def test_a_setpoint_is_a_step(active):
 
 
 @pytest.mark.parametrize(
-    ("times_ns", "columns", "reason"),
+    ("names", "times_ns", "columns", "reason"),
     [
-        ([], [[]], "0 points"),
-        ([MS, MS], [[0.1, 0.2]], "times must increase; point 1"),
-        ([MS], [[math.nan]], "not finite"),
-        ([MS], [[2.0 * LARGEST_POSITION]], "beyond 1e9"),
-        ([MS], [[0.1], [math.inf]], "not finite"),
+        ("elbow", [], [[]], "0 points"),
+        ("elbow", [MS, MS], [[0.1, 0.2]], "times must increase; point 1"),
+        ("elbow", [MS], [[math.nan]], "not finite"),
+        ("elbow", [MS], [[2.0 * LARGEST_POSITION]], "beyond 1e9"),
+        ("elbow", [MS], [[0.1], [math.inf]], "not finite"),
+        ("elbow", [MS], [[0.2], None, None, [math.nan]], "not finite"),
+        ("elbow wrist", [MS], [[0.2], None, None, [1.0]], "one number for each joint"),
+        ("elbow wrist wrist", [MS], [[0.2]], "names a joint twice"),
     ],
 )
 def test_a_trajectory_that_is_none_is_refused_and_the_joint_is_held(
-    active, times_ns, columns, reason
+    active, names, times_ns, columns, reason
 ):
     rest = [(0.1, 0.0)] * 2
     active.update(10**9, *rest)
-    active.trajectory("elbow", 0, times_ns, *columns)
+    active.trajectory(names, 0, times_ns, *columns)
     assert reason in active.told()
     assert reference_of(active, "elbow", 10**9 + MS, rest) == (0.1, 0.0)
 

@@ -414,7 +414,7 @@ void HpidController::report()
   for (const auto & joint : joints_) {
     message.status.push_back(joint->status());
     for (const auto & [key, count] :
-      {std::pair("cycles that nobody heard of", lost_.load()),
+      {std::pair("cycles not published", lost_.load()),
        std::pair("states that could not be read", unreadable_.load())})
     {
       message.status.back().values.emplace_back();

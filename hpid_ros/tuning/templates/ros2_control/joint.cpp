@@ -163,8 +163,9 @@ Reference Joint::asked_for(
   }
   Reference here = follower_.sample(stamp_ns);
   if (is_standing_ && motion.has_new()) {
-    if (its.has_limits) {  // at a stop the reference rests
-      const auto & own = loop_.own;
+    const auto & own = loop_.own;
+    // At a stop the reference rests; before the loop's first sample there are none.
+    if (its.has_limits && own.passage.has_reference) {
       const double inside = std::clamp(here.position + own.passage.turns, own.low, own.high);
       if (inside != here.position + own.passage.turns) {
         here = {inside - own.passage.turns, 0.0};

@@ -41,7 +41,7 @@ std::string column(
     };
     if (
       point.positions.size() != joints || !is_or_none(point.velocities) ||
-      !is_or_none(point.accelerations)) {
+      !is_or_none(point.accelerations) || !is_or_none(point.effort)) {
       return number + " has other than one number for each joint";
     }
     Knot knot;
@@ -53,7 +53,9 @@ std::string column(
       return std::any_of(
         values.begin(), values.end(), [](double value) { return !(std::abs(value) <= kLargest); });
     };
-    if (is_bad(point.positions) || is_bad(point.velocities) || is_bad(point.accelerations)) {
+    if (
+      is_bad(point.positions) || is_bad(point.velocities) || is_bad(point.accelerations) ||
+      is_bad(point.effort)) {
       return number + " has a number that is not finite, or beyond 1e9";
     }
     const bool is_first = motion.knots.empty();
@@ -222,7 +224,7 @@ rcl_interfaces::msg::SetParametersResult JointNode::allow(const Parameters & cha
   result.reason = why_not(with(changes));
   if (result.reason.empty() && joint_->retunings.back() == nullptr) {
     result.reason = is_controller_active_
-      ? "sets come faster than the control loop takes them"
+      ? "sets come faster than the control loop applies them"
       : "64 sets wait for the controller to be activated: no more are taken before";
   }
   result.successful = result.reason.empty();
@@ -238,8 +240,10 @@ void JointNode::on_trajectory(const trajectory_msgs::msg::JointTrajectory & mess
   }
   const auto at = static_cast<std::size_t>(found - names.begin());
   auto reason = column(message, at, joint_->motion.slot());
-  if (std::count(names.begin(), names.end(), name_) > 1) {
-    reason = "it names the joint twice";
+  auto sorted = names;
+  std::sort(sorted.begin(), sorted.end());
+  if (std::adjacent_find(sorted.begin(), sorted.end()) != sorted.end()) {
+    reason = "it names a joint twice";
   }
   if (!reason.empty()) {
     refuse("trajectory refused: " + reason);
