@@ -249,7 +249,7 @@ class BagRecorder(executor.ClosingNode):
     def destroy_node(self) -> None:
         """Leave no folder in the way of the next start where this one was refused."""
         super().destroy_node()
-        if self.supervisor is None:
+        if self.supervisor is None and not any(self._writer.counts.values()):
             shutil.rmtree(self._writer.path, ignore_errors=True)
 
     def close(self) -> None:
