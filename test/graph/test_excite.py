@@ -2,7 +2,6 @@
 
 import io
 import json
-import time
 from dataclasses import replace
 from itertools import pairwise
 
@@ -179,13 +178,12 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
     graph = running_graph()
     controllers = chosen(graph, [])
     (bounds,) = [bounds_of(each, INERTIA) for each in controllers]
-    stood, taken = [], []
+    stood = []
     publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", RARE)
 
     def take_over(event, seconds):
         """Have the joint follow something else, as another node does."""
         if event == "at" and seconds > 1.0:
-            taken.append(time.monotonic())
             points = [JointTrajectoryPoint(positions=[0.0], time_from_start=Duration(sec=2))]
             publisher.publish(JointTrajectory(joint_names=["turn"], points=points))
 
@@ -206,16 +204,11 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
         harness.set_parameters("turn_controller", u_clamp_max=effort, u_clamp_min=-effort)
         bag = tmp_path / reason
         ending = carry_out(made, controllers, graph, bag, tell)
-        if tell is take_over:
-            assert time.monotonic() - taken[0] < 20.0  # less than for states that stay away
         harness.set_parameters("turn_controller", u_clamp_max=10.0, u_clamp_min=-10.0)
         wait_for_rest(harness)
         assert reason in ending.reason
         assert ending.is_interrupted == (tell is interrupt)
         assert (bag / "metadata.yaml").exists()
-        assert (
-            not taken or time.monotonic() - taken.pop(0) < 20.0
-        )  # 30 s for states that stay away
 
 
 def interrupt(event, seconds):
