@@ -31,7 +31,7 @@ from hpid_ros.stability.closed_loop import (
 )
 from hpid_ros.stability.gain_check import Loop, certified_degrees, kind_of, physical_units
 
-_FACTORS = (1.1, 1.25, 1.5)
+_FACTORS = (1.0, 1.1, 1.25, 1.5)
 _BEYOND = 0.1  # degrees beyond 0 and the loop's own
 _COARSE = (12, 24)  # points along and inward
 _ENOUGH = -3e-3  # of the rate in units of ki^(1/3), where a search ends

@@ -34,7 +34,7 @@ from hpid_ros.messages.writer import BagWriter
 from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.stability.certification import check_certificate
 from hpid_ros.stability.closed_loop import Certificate
-from hpid_ros.stability.gain_boxes import _range, gain_ranges
+from hpid_ros.stability.gain_boxes import _box, _range, gain_ranges
 from hpid_ros.stability.gain_check import CERTIFICATES, certified_degrees, verify
 from hpid_ros.tuning.export import GivenLoop, require_package
 from hpid_ros.tuning.recorded_loops import read_records
@@ -367,6 +367,15 @@ def test_a_box_of_these_gains_alone_holds_them_as_the_plugin_divides_them():
     alone = [(span, (1.0, np.array(span.shape))) for span in interval.spans]
     box = _range(loop, interval, loop, alone).boxes[0]
     assert box.rate_time == (gains.d / gains.p,) * 2
+
+
+def test_a_box_of_these_gains_alone_has_a_p_for_both_ends_of_the_inertia():
+    gains = Gains(10.1, 52.8, 0.777)
+    loop = loop_settings(gains=gains, norm__rate_weight=0.0406, mu=-0.1), (0.00555, 0.0166)
+    (interval,) = certified_degrees([loop])
+    span = next(each for each in interval.spans if each.lower < -0.07 < each.upper)
+    factor, _ = _box((*loop, span))
+    assert factor == 1.0
 
 
 def test_a_loop_that_is_not_certified_is_not_exported():
