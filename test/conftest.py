@@ -27,6 +27,7 @@ settings.load_profile("suite")  # another one: pytest --hypothesis-profile thoro
 
 for number in (signal.SIGHUP, signal.SIGQUIT):  # nodes ignore what nohup or a shell had ignored
     signal.signal(number, signal.SIG_DFL)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's & had ignored
 NodeGroup.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
 FAULT = "fault"  # a property of a test: what is counted, and how many more
