@@ -1,6 +1,6 @@
 """What a Dask cluster costs beside this machine's own processes.
 
-    python -m benchmarks.cluster [--seeds 8] [--rounds 3]
+    pip install 'hpid_ros[cluster]' && python -m benchmarks.cluster [--seeds 8] [--rounds 3]
 
 Scheduler and workers are processes of their own that talk TCP on this machine. Printed are the
 time that a run costs more than in a process of our own, how much of two processes two workers are

@@ -56,7 +56,7 @@ def _between_engines() -> list[Figure]:
     steps = Source(f"bare {bullet}", "step"), Source(f"bare {own}", "step")
     return [
         Figure("engine.step", "us", *steps,
-               "a bare step of MuJoCo, PyBullet ours", (Bound("ratio", least=10.0),)),
+               "a bare step of PyBullet, over MuJoCo's", (Bound("ratio", least=10.0),)),
         Figure("engine.rate", "periods/s", Source(f"run_in_process, {own}", "rate"),
                Source(f"run_in_process, {bullet}", "rate"), f"{bullet}, ours {own}",
                (Bound("ratio", least=12.0),)),

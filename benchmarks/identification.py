@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
@@ -37,7 +38,7 @@ from hpid_ros.tuning.identify import JointIdentification, identify
 from hpid_ros.tuning.joint_record import JointRecord
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
 
-ROBOTS = ("paper", "iiwa", "panda")
+ROBOTS = ("paper", "iiwa", "panda") if find_spec("pybullet_data") else ("paper",)
 PERIOD = 1e-3  # [s]
 _TOGETHER, _ALONE = 20.0, 12.0  # [s], of all joints, of each, unless --duration says otherwise
 _NOISES = (5e-5, 4e-4)  # [rad]

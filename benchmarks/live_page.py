@@ -136,7 +136,7 @@ def _phases(
             watcher = None
             if is_watched:
                 watcher = subprocess.Popen(
-                    [sys.executable, "-m", "benchmarks.live_page", "--watch", str(2 * seconds)],
+                    [sys.executable, "-m", "benchmarks.live_page", "--watch", str(seconds + 15.0)],
                     env=environment,
                     stdout=subprocess.PIPE,
                     text=True,

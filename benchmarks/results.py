@@ -19,14 +19,14 @@ _DIGITS = 6
 
 
 def machine() -> dict[str, Any]:
-    """Return CPU model, number of cores and operating system, without the host's name."""
+    """Return CPU model, number of cores and operating system, without its release or a name."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
         found = re.search(r"^model name\s*:\s*(.+)$", info.read_text(), re.MULTILINE)
         model = found.group(1).strip() if found else model
     cores = len(os.sched_getaffinity(0))
-    return {"cpu": model, "cores": cores, "system": f"{platform.system()} {platform.release()}"}
+    return {"cpu": model, "cores": cores, "system": platform.system()}
 
 
 def slug() -> str:

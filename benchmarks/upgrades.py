@@ -16,6 +16,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -48,7 +49,7 @@ from hpid_ros.tuning.upgrade_prediction import (
     verify,
 )
 
-ROBOTS = ("paper", "iiwa", "panda")
+ROBOTS = ("paper", "iiwa", "panda") if find_spec("pybullet_data") else ("paper",)
 STRANGE = "strange"
 _MASSES = (0.7, 1.4)  # times as the robot's
 _ROTORS = (0.7, 1.4)

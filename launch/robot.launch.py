@@ -41,7 +41,7 @@ ARGUMENTS = {
     "engine": (
         "",
         ["", "pybullet", "mujoco"],
-        "who computes the physics; as the file says if empty",
+        "physics engine; empty: the experiment file's",
     ),
     "composed": ("false", ["true", "false"], "all controllers in one process"),
     "bag": ("", None, "record into this new folder"),

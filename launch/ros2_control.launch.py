@@ -28,7 +28,9 @@ from hpid_ros.nodes.core.process import LAUNCH
 def generate_launch_description():
     return LaunchDescription(
         [
-            DeclareLaunchArgument("params_file", description="of controllers and merger"),
+            DeclareLaunchArgument(
+                "params_file", description="parameter file of controllers and merger"
+            ),
             DeclareLaunchArgument(
                 "composed",
                 default_value="true",

@@ -23,7 +23,12 @@ _LIFECYCLE = (
     "get_transition_graph",
 )
 _BRIDGES = ("pybullet_bridge", "mujoco_bridge")
-_BRIDGE_SERVICES = ("pause", "step", "reset", "grip")
+_BRIDGE_SERVICES = (
+    *("pause", "step", "reset", "grip"),
+    # of simulation_interfaces, where that is installed
+    *("get_simulator_features", "get_simulation_state", "set_simulation_state"),
+    *("reset_simulation", "step_simulation"),
+)
 _POSES = (
     *("odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
     *("brick_poses", "grip_events"),

@@ -15,7 +15,7 @@ for run in $(seq "$runs"); do
     rm -rf "$clone" "$home" "$files" && mkdir -p "$home" "$files" && git clone --quiet "$source" "$clone" || exit 2
     if env -i HOME="$home" TMPDIR="$files" PATH="$PATH" LANG=C.UTF-8 \
         PYTEST_ADDOPTS="-o tmp_path_retention_count=9" \
-        make -k -C "$clone" test faults repository >"$folder/$run.log" 2>&1
+        make -k -C "$clone" test faults repository busy >"$folder/$run.log" 2>&1
     then result=passed && rm -rf "$files"
     else result=FAILED failed=$((failed + 1))
     fi

@@ -1,7 +1,7 @@
 """A robot of one's own: a URDF, what it says, gains by its inertias, a motion under gravity.
 
-On the command line the same is ``hpid robot FILE``, ``hpid gains`` and ``hpid compare``; README's
-*Your robot in ten minutes* goes that way with a UR5.
+On the command line the same is ``hpid robot FILE``, ``hpid gains`` and ``hpid compare``;
+docs/robots/first_arm.md goes that way with a UR5.
 """
 
 import numpy as np

@@ -96,6 +96,8 @@ if __name__ == "__main__":
             rclpy.spin_once(driver, timeout_sec=0.1)
         setpoints = driver.create_publisher(Float64, "joint_controller/setpoint", 1)
         while not setpoints.get_subscription_count():
+            if process.poll() is not None:
+                sys.exit("the controller has ended; its last line says why")
             rclpy.spin_once(driver, timeout_sec=0.1)
         setpoints.publish(Float64(data=TARGET))
         until = time.monotonic() + DURATION

@@ -3,7 +3,8 @@
     python examples/ros/retuning_client.py [NODE]
 
 A set of parameters is taken as a whole, between two samples, or refused as a whole with the
-reason. Without the name of a node this starts a controller of its own.
+reason. Without the name of a node this starts a controller of its own; NODE keeps gains.p 60,
+gains.d 5 and mu 0.1: name one of a simulated joint.
 """
 
 import subprocess
