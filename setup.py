@@ -1,7 +1,8 @@
 """Build of an ament_python package; also a plain pip install.
 
 This is the one place where versions are pinned. Lower bounds are the oldest that the suite was
-run with (rosdep's may be older: Matplotlib 3.6 of Ubuntu 24.04); upper bounds stop at the next version that may break an interface.
+run with (rosdep's may be older: Matplotlib 3.6 of Ubuntu 24.04); upper bounds stop at the next
+version that may break an interface.
 """
 
 from pathlib import Path

@@ -28,9 +28,7 @@ from hpid_ros.nodes.core.process import LAUNCH
 def generate_launch_description():
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "params_file", description="parameter file of controllers and merger"
-            ),
+            DeclareLaunchArgument("params_file", description="controllers and merger: a file"),
             DeclareLaunchArgument(
                 "composed",
                 default_value="true",
