@@ -45,7 +45,7 @@ def streamed(harness, stream, condition, what):
         stream()
         return condition()
 
-    harness.wait(told, within=5.0, what=what)
+    harness.wait(told, what=what)
 
 
 @pytest.mark.parametrize("labels", [["shutdown"], ["deactivate", "cleanup"], ["SIGTERM"]])

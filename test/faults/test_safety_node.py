@@ -281,6 +281,7 @@ def test_nothing_impossible_that_comes_ends_the_node(harness, faults):
         harness.wait(refuses, what="refusals")
         harness.node.destroy_publisher(publisher)
     faults.count("references of random bytes", refused)
+    harness.commands.clear()
     harness.ask(0, 0.0)  # a clock that goes back starts the loop again
     assert harness.ask(MS, -0.5) == pytest.approx(5.0)
     assert process.poll() is None

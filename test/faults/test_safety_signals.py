@@ -49,7 +49,12 @@ class Arm:
         self._heard = -1
         self._position = -0.5
         self._tell(0.0)
-        harness.wait(lambda: all(self.efforts(j) for j in joints), what="the first answers")
+
+        def answered():
+            self._go_on()
+            return all(self.efforts(joint) for joint in joints)
+
+        harness.wait(answered, what="the first answers")
 
     def _go_on(self):
         """Tell the next state when nobody answers the last one any more."""

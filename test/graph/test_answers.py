@@ -91,6 +91,7 @@ def test_with_our_profiles_no_answer_waits_for_its_client(file):
     assert [*map(ElementTree.tostring, ours)] == [*map(ElementTree.tostring, suites)]
 
 
+@pytest.mark.alone  # it keeps the time
 def test_a_client_that_is_never_matched_stops_no_controller(harness):
     """Its requests arrive: with a wait for each, the samples below take twice what they may."""
     harness.start_controller()

@@ -408,19 +408,13 @@ def ask_whole(harness, stamp_ns, names=JOINTS, positions=None, efforts=None):
     """Publish one state of the whole robot and return the effort that answers it."""
     count = len(names)
     template = JointStateTemplate(names, position=True, velocity=True, effort=efforts is not None)
-    harness.states.publish(
-        template.encode(
-            stamp_ns,
-            position=positions or [0.3] * count,
-            velocity=[0.0] * count,
-            effort=efforts or (),
-        )
+    raw = template.encode(
+        stamp_ns,
+        position=positions or [0.3] * count,
+        velocity=[0.0] * count,
+        effort=efforts or (),
     )
-    harness.wait(
-        lambda: any(each.stamp_ns == stamp_ns for each in harness.commands),
-        what=f"the answer to {stamp_ns}",
-    )
-    return next(each.effort[0] for each in harness.commands if each.stamp_ns == stamp_ns)
+    return harness.answer(stamp_ns, lambda: harness.states.publish(raw))
 
 
 def in_this_process():

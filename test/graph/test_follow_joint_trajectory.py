@@ -193,7 +193,7 @@ def test_a_server_that_stands_still_leaves_the_joints_on_their_way_to_rest(joint
 
 @pytest.mark.faults
 def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(joints):
-    joints.start(state_timeout=1.0)
+    joints.start()
     client = Client(joints)
     handle = client.send(slowly())
     joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
@@ -210,7 +210,7 @@ def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(jo
 
 @pytest.mark.faults
 def test_a_joint_that_another_node_took_in_a_silence_is_not_stopped(joints):
-    joints.start(state_timeout=1.0)
+    joints.start()
     other = joints.harness.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
     client = Client(joints)
     handle = client.send(slowly())

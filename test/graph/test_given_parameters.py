@@ -191,6 +191,7 @@ def test_every_executable_starts_from_its_dump_and_takes_it_back(harness, tmp_pa
     for node, values in dumps.items():
         fixed = graph.are_fixed(node, ["status_fd" if "status_fd" in values else "use_sim_time"])
         for name, is_fixed in fixed.items():
+            assert is_fixed is (name == "status_fd")
             if is_fixed:
                 other = values[name] + 1  # what it has it takes
                 is_set, reason = graph.set(node, **{name: other})

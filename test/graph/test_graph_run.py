@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from harness.experiments import write_experiment
 from harness.graph import ros_arguments
-from harness.studies import children_of, wait_until
+from harness.studies import children_of, is_alive, wait_until
 from mcap_ros2.reader import read_ros2_messages
 
 from hpid_ros.base.errors import RunError
@@ -137,7 +137,7 @@ def test_a_killed_controller_leaves_the_others_at_work(experiment_file, tmp_path
     for series in run.joints:
         lost = run.losses[series.joint].unanswered_states
         if series.joint == "arm_joint_2":
-            assert lost == 1001 - len(series.effort) > 300
+            assert lost == 1001 - len(series.effort) > 0
         elif series.joint not in silent:  # a busy machine may be late, and says so
             assert (lost, len(series.effort)) == (0, 1001)
     (mcap,) = (tmp_path / "bag").glob("*.mcap")
@@ -217,7 +217,7 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
         assert len(nodes) == 11  # with the server that forked them
         hpid.send_signal(number)
         hpid.wait(timeout=60)
-        wait_until(lambda: not [pid for pid in nodes if Path(f"/proc/{pid}").exists()], 20.0)
+        wait_until(lambda: not any(map(is_alive, nodes)))
     finally:
         hpid.kill()
         hpid.wait()

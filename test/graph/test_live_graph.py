@@ -301,6 +301,7 @@ def test_a_set_is_taken_or_refused_as_a_whole_and_changes_by_anybody_are_seen(
 def test_controllers_are_stopped_and_come_back_with_the_parameters_that_they_have(
     harness, graph, robot, monkeypatch
 ):
+    monkeypatch.setattr(graph_client, "_STOPS_WITHIN", 60.0)  # discovery takes its time
     found(harness, graph)
     assert answered(harness, graph.change_state(ELBOW, "deactivate")) == Answer(True)
     harness.wait(lambda: graph.controllers()[ELBOW].lifecycle == "inactive")
@@ -405,7 +406,7 @@ def test_a_controller_that_may_be_another_process_is_read_again(
     harness, graph, late, monkeypatch, was_silent
 ):
     """As it was not heard for a while, or has counted fewer samples than before."""
-    monkeypatch.setattr(graph_client, "SILENT_AFTER", 0.3 if was_silent else 60.0)
+    monkeypatch.setattr(graph_client, "SILENT_AFTER", 60.0)
 
     def is_told(samples):
         late.tell_health(samples)
@@ -416,6 +417,7 @@ def test_a_controller_that_may_be_another_process_is_read_again(
     late.values["gains.p"] = 112.0  # and nobody hears of it
     since = time.monotonic()
     if was_silent:
+        monkeypatch.setattr(graph_client, "SILENT_AFTER", 0.3)
         harness.wait(lambda: time.monotonic() > since + 0.5)
     else:
         harness.wait(lambda: is_told(101))

@@ -122,7 +122,7 @@ class Joints:
             name, "follow_joint_trajectory", ros_arguments(**parameters)
         )
 
-    def run(self, condition, within=20.0, what="the condition"):
+    def run(self, condition, within=60.0, what="the condition"):
         """Let states follow each other until a condition holds."""
         self._begun = time.monotonic() - self.now
         deadline = time.monotonic() + within

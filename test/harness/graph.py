@@ -2,15 +2,16 @@
 
 import math
 import time
+from functools import partial
 from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
@@ -27,12 +28,6 @@ TRANSITIONS = {
     "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN,
 }
 _ANSWERED_WITHIN = _LOST_WITHIN = 5.0  # [s]
-_VALUES = {
-    bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
-    float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
-    int: (ParameterType.PARAMETER_INTEGER, "integer_value"),
-    str: (ParameterType.PARAMETER_STRING, "string_value"),
-}
 
 
 class Harness:
@@ -121,28 +116,27 @@ class Harness:
 
     def ask(self, stamp_ns, position, velocity=0.0, joint="elbow"):
         """Publish one state, again where it was lost, and return the effort that answers it."""
-        published_at = -math.inf
-
-        def publish():
-            nonlocal published_at
-            if time.monotonic() > published_at + _LOST_WITHIN:
-                published_at = time.monotonic()
-                self.publish(stamp_ns, position, velocity, joint)
-
-        return self._answer(stamp_ns, publish)
+        return self.answer(stamp_ns, lambda: self.publish(stamp_ns, position, velocity, joint))
 
     def ask_newcomer(self, stamp_ns, position, velocity=0.0, joint="elbow"):
         """Publish one state until it is answered: a subscription may not be matched yet."""
-        return self._answer(stamp_ns, lambda: self.publish(stamp_ns, position, velocity, joint))
+        told = partial(self.publish, stamp_ns, position, velocity, joint)
+        return self.answer(stamp_ns, told, again_after=0.0)
 
     def publish(self, stamp_ns, position, velocity=0.0, joint="elbow"):
         """Publish one state."""
         template = JointStateTemplate([joint], position=True, velocity=True)
         self.states.publish(template.encode(stamp_ns, position=[position], velocity=[velocity]))
 
-    def _answer(self, stamp_ns, insist):
+    def answer(self, stamp_ns, publish, again_after=_LOST_WITHIN):
+        """Publish a state, again where it was lost, and return the effort that answers it."""
+        published_at = -math.inf
+
         def is_answered():
-            insist()
+            nonlocal published_at
+            if time.monotonic() > published_at + again_after:
+                published_at = time.monotonic()
+                publish()
             return any(each.stamp_ns == stamp_ns for each in self.commands)
 
         self.wait(is_answered, what=f"the answer to {stamp_ns}")
@@ -173,7 +167,10 @@ class Harness:
         service = SetParametersAtomically if atomically else SetParameters
         name = "set_parameters_atomically" if atomically else "set_parameters"
         request = service.Request(
-            parameters=[_parameter(key.replace("__", "."), value) for key, value in values.items()]
+            parameters=[
+                Parameter(key.replace("__", "."), value=value).to_parameter_msg()
+                for key, value in values.items()
+            ]
         )
         answer = self.call(service, f"{node}/{name}", request)
         result = answer.result if atomically else answer.results[0]
@@ -182,11 +179,6 @@ class Harness:
 
 def _has(endpoints, name, namespace):
     return (name, namespace) in {(each.node_name, each.node_namespace) for each in endpoints}
-
-
-def _parameter(name, value):
-    kind, field = _VALUES[type(value)]
-    return Parameter(name=name, value=ParameterValue(type=kind, **{field: value}))
 
 
 def ros_arguments(**parameters):

@@ -84,6 +84,7 @@ def compile_plugin(folder, *options, driver="driver.cpp"):
 
 def run_threads(folder, parameters, sanitizer):
     """Run a control loop beside the other thread under a sanitizer; return what it says."""
+    needs_cpp()
     lines = []
     for joint, values in parameters.items():
         for name, value in values.items():

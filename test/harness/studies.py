@@ -4,6 +4,7 @@ import json
 import os
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from hpid_ros.cli.commands import DONE
@@ -35,8 +36,11 @@ def wait_until(is_true, within=120.0, what="it"):
 
 def children_of(parent=None):
     """Return the processes that have this parent."""
-    found = Path(f"/proc/{parent or os.getpid()}/task").glob("*/children")
-    return [int(pid) for file in found for pid in file.read_text().split()]
+    found = []
+    for file in Path(f"/proc/{parent or os.getpid()}/task").glob("*/children"):
+        with suppress(OSError):  # a thread that has just ended
+            found += map(int, file.read_text().split())
+    return found
 
 
 def is_alive(process):

@@ -149,6 +149,7 @@ def test_an_interrupt_ends_every_process_and_leaves_what_was_run(
     )
     wait_until(lambda: len(workers(process.pid)) >= started)
     children = workers(process.pid)
+    assert children
     if is_warm:  # they have begun to compute, in one thread each
         wait_until(lambda: all("mujoco" in Path(f"/proc/{k}/maps").read_text() for k in children))
         for each in children:
