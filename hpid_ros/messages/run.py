@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -524,7 +525,8 @@ def _recording(
     """Read the messages that are asked for."""
     topics = storage.topics()
     types = {name: info.type for name, info in topics.items()}
-    joints = None if selection.joints is None else frozenset(selection.joints)
+    is_open = selection.joints is None or selection.every
+    joints = None if is_open else frozenset(selection.joints or ())
 
     def collected(choice: TopicChoice) -> RecordedRun:
         recording = RecordedRun(choice, types, joints)
@@ -630,6 +632,13 @@ def _run(
             raise SeriesError(f"joint {joint!r}: no state in the window")
     if not series:
         raise SeriesError(f"no joint has a state from {start} s to {end} s")
+    for joint in recording.known_joints() if selection.every else ():
+        with suppress(SeriesError):  # nobody asked for it
+            if joint not in joints and (
+                found := JointRun(recording, joint, selection).series(window)
+            ):
+                one, losses[joint], qualities[joint] = found
+                series.append(one)
     recording.notes.extend(_foreign_clocks(qualities))
     quality = replace(quality, joints=qualities, notes=tuple(recording.notes))
     return RunSeries(label, tuple(series), losses, quality=quality)

@@ -88,6 +88,7 @@ class BagSelection:
         end: End of the window (inclusive), likewise.
         separates_runs: Whether stamps that go back by a second or more begin another run, which
             then follows the one before after a gap; else all are put in the order of their stamps.
+        every: Whether the other joints that the states name follow, as far as they can be read.
 
     Raises:
         SettingError: An unknown clock, an empty or reversed window, an empty name.
@@ -103,6 +104,7 @@ class BagSelection:
     start: float | None = None
     end: float | None = None
     separates_runs: bool = False
+    every: bool = False
 
     def __post_init__(self) -> None:
         if self.joints is not None:

@@ -431,8 +431,9 @@ def identify(
     other joints at rest.
     """
     how = method or Method()
-    moving = max((each.travel for each in records), default=0.0)
     places = [k for k, each in enumerate(records) if wanted is None or each.joint in wanted]
+    counted = [records[k] for k in places] if rigid_body is None else records
+    moving = max((each.travel for each in counted if len(each.effort)), default=0.0)
     if rigid_body is not None:
         equations = {k: _equation(records, k, rigid_body, how, moving) for k in places}
         found = {k: _found(records[k], each, how) for k, each in equations.items()}

@@ -130,23 +130,30 @@ def identify_robot(
     for joint in asked or ():
         if joint not in recording.joint_names:
             raise SettingError(unknown_name("joint", joint, recording.joint_names))
+    driven = [each.joint for each in recording.joints if each.has_effort or each.has_reference]
+    driven = driven or list(recording.joint_names)
+    looked_at = driven if asked is None else asked
+    kept = {each.joint for each in recording.joints if _has_moved(each)}.union(looked_at)
+    if robot is not None:
+        kept, robot = kept.union(driven), as_recorded(robot, recording.joints)
+    recording = recording.narrowed(kept)
     records = _records(recording)
     missing = (*recording.quality.missing_lines, *_losses(recording), *_holds(records, recording))
     wheels = _wheels(records, robot, base, asked)
     if robot is None:
-        alone = [each.joint for each in records if each.joint not in wheels]
+        alone = [name for name in looked_at if name not in wheels]
         found = _with_losses(identify(records, method=method, wanted=alone), recording)
         slides = tuple(name for name in recording.joint_names if name in recording.slides)
-        every = _in_order([*found, *wheels.values()], records)
+        refused = [each for joint, each in wheels.items() if joint in looked_at]
+        every = _in_order([*found, *refused], records)
         return RobotIdentification(every, _sources(recording), slides, missing=missing)
     joints = robot.description.joints
     records = [each for each in records if each.joint in joints]
-    if not records:
+    wanted = [name for name in driven if name in joints] if asked is None else asked
+    if not wanted:
         raise SettingError(
-            f"{robot_name} has none of the joints of {bag_name}: "
-            f"{', '.join(recording.joint_names)}"
+            f"{robot_name} has none of the joints of {bag_name}: {', '.join(driven)}"
         )
-    wanted = [each.joint for each in records] if asked is None else asked
     for joint in wanted:
         if joint not in joints:
             raise SettingError(f"{robot_name}: {unknown_name('joint', joint, joints)}")
@@ -165,11 +172,27 @@ def identify_robot(
     return RobotIdentification(found, _sources(recording), slides, moved, missing)
 
 
+def as_recorded(robot: GivenRobot, recorded: Sequence[JointSeries]) -> GivenRobot:
+    """Return a robot whose joints that stood still are where they were recorded."""
+    places = dict(robot.initial_positions)
+    for each in recorded:
+        joint = robot.description.joints.get(each.joint)
+        if joint is not None and not _has_moved(each):
+            places[each.joint] = float(np.clip(np.mean(each.position), joint.lower, joint.upper))
+    return replace(robot, initial_positions=places)
+
+
+def _has_moved(series: JointSeries) -> bool:
+    return float(np.ptp(series.position)) > _STILL
+
+
 def _losses(recording: RunSeries) -> Iterator[str]:
     """Yield a line for each kind of sample of which many are missing, with the joints."""
     lost: dict[str, list[str]] = {}
     for each in recording.joints:
         commands, quality = each.command_stamps_ns, recording.quality.joints[each.joint]
+        if not each.has_effort:
+            continue
         shares = {"of the states are missing": _missing(each.state_stamps_ns)}
         if not quality.effort.startswith(MEASURED):
             shares["of the commands are missing"] = _missing(commands)

@@ -35,6 +35,7 @@ from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, OFFSET, STRIBECK
 from hpid_ros.tuning.robot_identification import (
     BaseMotion,
     RobotIdentification,
+    as_recorded,
     base_motion,
     identify_robot,
     is_wheel,
@@ -215,6 +216,7 @@ def upgrade_from_bag(
     phase("reading the recording")
     base = base_motion(bag)
     recording, loops, warnings = _read(bag, robot, goal, parameters, base)
+    robot = as_recorded(robot, recording.joints)
     phase("identifying the joints")
     found = identify_robot(recording, robot, robot_name=urdf, bag_name=str(bag), base=base)
     model = robot_model(robot, found.joints, recording.joints)
@@ -263,7 +265,7 @@ def _read(
     recording = read_run(
         bag,
         RECORDED,
-        selection=BagSelection(separates_runs=True),  # which are no one motion
+        selection=BagSelection(separates_runs=True, every=True),  # which are no one motion
         progress=lambda share: raise_if_interrupted(),
     ).with_slides(robot.description.slides)
     loops: list[LoopSettings] = []

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from harness.bags import odometry, write_bag
+from harness.bags import command, odometry, state, write_bag
 from harness.motions import Plant, motion, needed
 
 from hpid_ros.base.files import share_folder
@@ -14,6 +14,8 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.storage import missed_entries
 from hpid_ros.messages.writer import BagWriter
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.dynamics import InverseDynamics
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 PERIOD_NS = 2_000_000
@@ -79,6 +81,34 @@ def test_a_bag_gives_numbers_and_a_still_joint_a_reason(tmp_path, hpid, effort_i
     delay = PLANT.delay + (1e-3 if effort_in_states else 0.0)  # which no hold delays
     assert moving["estimates"]["delay"]["value"] == pytest.approx(delay, abs=2e-4)
     assert moving["estimates"]["inertia"]["unit"] == "kg m^2"
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.25])
+def test_a_joint_that_nobody_drives_counts_where_it_was(amplitude, tmp_path, hpid):
+    driven, other, file = "arm_joint_2", "arm_joint_3", tmp_path / "found.json"
+    plant = Plant(delay=0.0)
+    times = 1.0 + np.arange(0.0, 8.0, PERIOD_NS * 1e-9)
+
+    def moved(times):
+        moved = np.array([motion(times, 1), motion(times, 2, amplitude)])
+        moved[1, 0] += 1.5
+        return moved
+
+    body = InverseDynamics(RobotDescription.load(URDF), [driven, other])
+    between = moved(times + 0.5e-9 * PERIOD_NS)
+    effort = needed(plant, *between[0]) + body.efforts(*between.swapaxes(0, 1))[0]
+    log = []
+    for time, (one, two), u in zip(times, moved(times)[:, 0].T, effort, strict=True):
+        stamp = round(time * 1e9)
+        log += [state(stamp, **{driven: one, other: two}), command(stamp, **{driven: u})]
+    bag = write_bag(tmp_path / "bag", log)
+    assert hpid("identify", bag, "--urdf", URDF, "--json", file)[0] == 0
+    found = json.loads(file.read_text())["joints"]
+    assert list(found) == [driven]
+    inertia = found[driven]["estimates"]["inertia"]["value"]
+    assert inertia == pytest.approx(plant.inertia, rel=0.02)
+    out = " ".join(hpid("identify", bag, "--joint", driven)[1].split())
+    assert (f"{other} moved at the same time" in out) is bool(amplitude)
 
 
 def test_what_its_recording_lacks_is_told_with_the_numbers(bag, tmp_path, hpid):

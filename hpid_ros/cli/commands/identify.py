@@ -56,9 +56,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _identified(options: argparse.Namespace, robot: GivenRobot | None) -> RobotIdentification:
     method = Method(options.cutoff, options.longest_delay, options.effort_unit == "any")
-    # Other joints' motion counts where the robot is known, whichever are asked for.
+    # Other joints' efforts count where the robot is known, whichever are asked for.
     asked = options.joint or None
-    selection = bag_selection(options, None if robot else asked, separates_runs=True)
+    selection = bag_selection(options, None if robot else asked, is_identified=True)
     with reading() as tell:
         told = partial(tell, options.bag.name)
         recording = read_run(options.bag, _LABEL, selection=selection, progress=told)

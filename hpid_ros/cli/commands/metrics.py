@@ -43,7 +43,7 @@ def bag_selection(
     options: argparse.Namespace,
     joints: Sequence[str] | None,
     reference: Reference = "auto",
-    separates_runs: bool = False,
+    is_identified: bool = False,
 ) -> BagSelection:
     return BagSelection(
         joints=joints,
@@ -55,7 +55,8 @@ def bag_selection(
         clock=options.clock,
         start=options.start,
         end=options.end,
-        separates_runs=separates_runs,
+        separates_runs=is_identified,  # which are no one motion
+        every=is_identified,
     )
 
 

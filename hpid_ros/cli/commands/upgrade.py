@@ -37,7 +37,7 @@ from hpid_ros.metrics.quantities import INDICES
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.table import ComparisonTable, TableColumn, WideTable
 from hpid_ros.robot.description import GivenRobot
-from hpid_ros.tuning.robot_identification import visited_poses
+from hpid_ros.tuning.robot_identification import as_recorded, visited_poses
 from hpid_ros.tuning.upgrade import (
     GOALS,
     Certifying,
@@ -247,7 +247,7 @@ def _of_file(options: argparse.Namespace) -> int:
     joints = [each.joint for each in loops]
     recorded: tuple[JointSeries, ...] = ()
     if options.bag is not None:
-        selection = BagSelection(separates_runs=True)
+        selection = BagSelection(separates_runs=True, every=True)
         recorded = read_run(options.bag, "PID", joints=joints, selection=selection).joints
     inertias = {**file.inertias, **inertias_from(options, joints, visited_poses(recorded))}
     robot = _robot(options.urdf) if options.urdf else None
@@ -257,6 +257,7 @@ def _of_file(options: argparse.Namespace) -> int:
     )
     comparison = None
     if robot is not None:
+        robot = as_recorded(robot, recorded)
         after = [proposals[x.joint].settings if x.joint in proposals else x for x in loops]
         both = {"PID": [replace(each, law="pid") for each in after], "hPID": after}
         phase = "simulating the PID and the proposal on the robot"
