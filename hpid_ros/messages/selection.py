@@ -266,6 +266,11 @@ class _Chooser:
     def choice(self) -> TopicChoice:
         states = self.states()
         self.near = _common([namespace_of(topic) for topic in states])
+        self.others = {
+            namespace_of(topic)
+            for topic in self.of_type(JOINT_STATE)
+            if last_part(topic) == "joint_states" and topic not in states
+        }
         explicit = {
             joint: each._replace(topic=self.named(each.topic, _FLOATS))
             for joint, each in self.selection.command_topics.items()
@@ -297,8 +302,9 @@ class _Chooser:
         return sorted(name for name, kind in self.types.items() if kind in types)
 
     def below(self, *types: str) -> list[str]:
-        """Return the topics of some types in the namespace of the states."""
-        return [name for name in self.of_type(*types) if is_below(name, self.near)]
+        """Return the topics of some types in the namespace of the states, the nearest first."""
+        found = [name for name in self.of_type(*types) if is_below(name, self.near)]
+        return sorted(found, key=lambda name: name.count("/"))
 
     def one(self, what: str, found: list[str], option: str) -> str:
         if len(found) > 1:
@@ -338,7 +344,7 @@ class _Chooser:
         candidates = self.of_type(JOINT_STATE)
         here = f"{self.near}/joint_commands"
         found = [here] if here in candidates else matching("joint_commands", candidates)
-        are_several = len(matching("joint_states", candidates)) > 1  # robots
+        are_several = len([x for x in candidates if last_part(x) == "joint_states"]) > 1  # robots
         if asked is None and are_several:
             found = [each for each in found if self.is_near(each)]
         if found and asked is None and len(states) > 1:  # as its states, so its commands
@@ -350,7 +356,7 @@ class _Chooser:
             wanted += _COMMANDS_OF_A_JOINT
         floats = {
             joint_of(name): CommandTopic(name)
-            for name in self.below(*_FLOATS)
+            for name in reversed(self.below(*_FLOATS))
             if last_part(name) in wanted
         }
         if asked == EFFORT_COMMANDS:
@@ -374,7 +380,12 @@ class _Chooser:
         return (self.one("the commands", found, "--commands"),) if found else (), {}
 
     def is_near(self, topic: str) -> bool:
-        """Return whether a topic is below the states' namespace, or in one above it."""
+        """Return whether a topic is below the states' namespace, or in one above it.
+
+        What has states of its own there is another robot.
+        """
+        if any(is_below(each, self.near) and is_below(topic, each) for each in self.others):
+            return False
         return is_below(topic, self.near) or is_below(f"{self.near}/", namespace_of(topic))
 
     def in_doubt(self, taken: Collection[str]) -> tuple[str, ...]:
@@ -397,7 +408,7 @@ class _Chooser:
             (here,) if here in trajectories else tuple(trajectories),
             {
                 joint_of(name): name
-                for name in self.below(FLOAT64)
+                for name in reversed(self.below(FLOAT64))
                 if last_part(name) == "setpoint"
             },
             tuple(name for name in self.below(JOINT_STATE) if last_part(name) == "reference"),

@@ -263,6 +263,8 @@ def test_of_two_robots_one_is_chosen_by_its_namespace_or_both_are_named(tmp_path
             "/right/joint_states",
             "/right/joint_commands",
         ),
+        ("/joint_states /sim/joint_states /sim/joint_commands", "/joint_states", ""),
+        ("/joint_states /arm/joint_commands", None, "/arm/joint_commands"),
         ("/robot/measured /robot/wanted /terms", "measured", "/robot/wanted"),
         ("/joint_states /joint_commands /arm/joint_command", None, "/joint_commands"),
     ],

@@ -34,7 +34,7 @@ from hpid_ros.messages.run import (
     sample_setpoints,
     setpoint_events,
 )
-from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.selection import BagSelection, choose_topics
 from hpid_ros.messages.series import Losses
 from hpid_ros.motion import Column, JointTrajectory, Knot, TrajectoryPoint
 
@@ -105,6 +105,17 @@ def test_states_of_a_trajectory_controller_give_reference_and_effort(tmp_path, f
     assert quality.reference == f"controller_state {topic}"
     assert quality.references == 4
     assert run.losses["a"] == Losses(1 if has_effort else 0, 0)
+
+
+def test_of_two_robots_topics_the_nearest_are_taken():
+    names = {"setpoint": FLOAT64, "cmd_force": FLOAT64, "controller_state": CONTROLLER_STATE}
+    own = {f"/a_controller/{name}": kind for name, kind in names.items()}
+    types = {"/joint_states": JOINT_STATE} | own
+    types |= {f"/Sim{topic}": kind for topic, kind in types.items()}
+    types |= {f"/sim{topic}": kind for topic, kind in types.items()}
+    choice = choose_topics("bag", types, BagSelection(states="/joint_states"))
+    found = choice.references.setpoint["a"], choice.command_topics["a"].topic
+    assert (*found, choice.references.controller_state[0]) == tuple(own)
 
 
 @pytest.fixture(scope="module")
