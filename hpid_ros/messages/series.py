@@ -83,6 +83,15 @@ class DataQuality:
         return states.begin <= commands.end and commands.begin <= states.end
 
     @property
+    def uncovered(self) -> float:
+        """Share of the states' time before the first and after the last command."""
+        states, commands = self.states, self.commands
+        if not (states.end > states.begin and commands.count and self.has_common_time):
+            return 0.0
+        late = max(commands.begin - states.begin, 0.0) + max(states.end - commands.end, 0.0)
+        return late / (states.end - states.begin)
+
+    @property
     def is_complete(self) -> bool:
         """Whether neither states nor commands miss anything."""
         return self.states.is_complete and self.commands.is_complete
@@ -397,6 +406,7 @@ def complete_run(
 _SMALL_ERROR = 0.05  # an error below this is small for any joint, in [rad]
 _SHARE_OF_RANGE = 0.1  # so is one below this share of the reference's range
 _SELDOM = 0.1  # a joint follows if its error is small for at least this share of its motion
+_MUCH = 0.05  # of the states' time
 _MOVED = 0.05  # a joint whose position ranges over more than this has moved, in [rad]
 
 
@@ -467,6 +477,12 @@ def _lines(run: RunSeries) -> Iterator[str]:
     if received:
         streams = " and ".join(f"{stream}s" for stream in received)
         yield f"run {run.label!r}: {streams} have their receive time, not a stamp of their own"
+    partly = [name for name, each in joints.items() if each.uncovered > _MUCH]
+    if partly:
+        yield (
+            f"run {run.label!r}: the efforts of {', '.join(partly)} begin after the states or end "
+            f"before them, by more than {_MUCH:.0%} of the time: their numbers are of the rest"
+        )
     idle = [
         series.joint
         for series in run.joints

@@ -68,6 +68,7 @@ UNLIKE_KNOTS = 2  # so many points must differ: one may lie in a jump
 
 EVERYTHING = frozenset(QUANTITIES)
 NOTHING: frozenset[str] = frozenset()
+EFFORTS = frozenset(key for key, each in QUANTITIES.items() if each.needs is Data.EFFORT)
 
 
 class Difference(NamedTuple):
@@ -89,6 +90,14 @@ class Conditions:
     # [rad] for each joint that has one, its reference at KNOTS even times
     references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     reference_from: float | None = field(default=None, compare=False)
+    # of each joint that has efforts: from the first to the last, and their mean period, in [s]
+    efforts: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False)
+
+    @property
+    def odd_efforts(self) -> dict[str, tuple[float, float]]:
+        """Those efforts that cover another time than the states, or have another rate."""
+        usual = self.duration, self.period
+        return {k: v for k, v in self.efforts.items() if any(_unlike_efforts(v, usual).values())}
 
 
 def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
@@ -101,6 +110,14 @@ def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
         references={each.joint: _knots(each) for each in run.joints if each.has_reference},
         clock=next((each.state_clock for each in run.quality.joints.values()), "header"),
         reference_from=min((each for each in began if each is not None), default=None),
+        efforts={
+            each.joint: (
+                time := float(np.ptp(each.command_time)),
+                time / max(1, each.effort.size - 1),
+            )
+            for each in run.joints
+            if each.has_effort
+        },
     )
 
 
@@ -109,9 +126,9 @@ def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
     if _differ(one.duration, other.duration):
         text = f"durations differ: {one.duration:g} s and {other.duration:g} s"
         yield Difference(text, EVERYTHING)
+    is_other_rate = _differ(one.period, other.period, RATE_WITHIN)
     if _differ(one.period, other.period):
         rates = (f"{1 / each:.4g} Hz" if each else "none" for each in (one.period, other.period))
-        is_other_rate = _differ(one.period, other.period, RATE_WITHIN)
         text = f"state rates differ: {' and '.join(rates)}"
         yield Difference(text, EVERYTHING if is_other_rate else NOTHING)
     if one.clock != other.clock:
@@ -119,6 +136,16 @@ def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
     if one.cutoff != other.cutoff:
         text = f"chatter cut-offs differ: {one.cutoff:g} Hz and {other.cutoff:g} Hz"
         yield Difference(text, frozenset({CHATTER.key}))
+    unlike = {
+        name: _unlike_efforts(one.efforts[name], other.efforts[name])
+        for name in one.efforts
+        if name in other.efforts
+    }
+    is_other_time = _differ(one.duration, other.duration)
+    for what, is_said in (("times", is_other_time), ("rates", is_other_rate)):
+        names = [name for name, are_unlike in unlike.items() if are_unlike[what]]
+        if names and not is_said:
+            yield Difference(f"{what} of the efforts differ: {', '.join(names)}", EFFORTS)
     names = [
         name
         for name, knots in one.references.items()
@@ -137,6 +164,16 @@ def _knots(series: JointSeries) -> tuple[float, ...]:
 
 def _differ(one: float, other: float, within: float = DURATION_WITHIN) -> bool:
     return abs(one - other) > within * max(one, other)
+
+
+def _unlike_efforts(one: tuple[float, float], other: tuple[float, float]) -> dict[str, bool]:
+    """Say whether efforts cover other times, by more than a sample at each end, or rates."""
+    (one_time, one_period), (other_time, other_period) = one, other
+    is_more = abs(one_time - other_time) > 2.5 * max(one_period, other_period)
+    return {
+        "times": is_more and _differ(one_time, other_time),
+        "rates": _differ(one_period, other_period, RATE_WITHIN),
+    }
 
 
 def _unlike(
@@ -239,7 +276,10 @@ class RunIndices:
         if self.conditions is not None:
             references = {k: list(v) for k, v in self.conditions.references.items()}
             conditions = {**vars(self.conditions), "references": references}
-            del conditions["reference_from"]
+            del conditions["reference_from"], conditions["efforts"]
+            if self.conditions.odd_efforts:
+                odd = {k: list(v) for k, v in self.conditions.odd_efforts.items()}
+                conditions["efforts"] = odd
             mapping["conditions"] = conditions
         if self.spread is not None:
             mapping["repeats"] = self.spread.repeats
@@ -494,7 +534,10 @@ def _run(label: str, entry: Mapping[str, Any]) -> RunIndices:
         joints=joints,
         totals=_indices(entry["totals"], missing) | _numbers(entry, NORMS, missing),
         quantities=quantities,
-        conditions=_conditions(entry.get("conditions")),
+        conditions=_conditions(
+            entry.get("conditions"),
+            [name for name in joints if Data.EFFORT not in lacking.get(name, {})],
+        ),
         spread=_spread(entry),
         angle_unit=angle_unit,
         lacking=lacking,
@@ -547,9 +590,11 @@ def _indices(values: Mapping[str, object], missing: Collection[Data]) -> dict[st
     return _numbers(values, INDICES, missing) | further
 
 
-def _conditions(entry: Mapping[str, Any] | None) -> Conditions | None:
+def _conditions(entry: Mapping[str, Any] | None, with_efforts: Sequence[str]) -> Conditions | None:
     if entry is None:
         return None
+    usual, odd = (entry["duration"], entry["period"]), entry.get("efforts", {})
+    efforts = {name: odd.get(name, usual) for name in with_efforts}
     references = {
         str(name): tuple(_number(knot) for knot in knots)
         for name, knots in entry["references"].items()
@@ -560,6 +605,7 @@ def _conditions(entry: Mapping[str, Any] | None) -> Conditions | None:
         cutoff=_number(entry["cutoff"]),
         references=references,
         clock=str(entry.get("clock", "header")),
+        efforts={k: (_number(time), _number(period)) for k, (time, period) in efforts.items()},
     )
 
 

@@ -150,13 +150,13 @@ def test_what_is_written_is_taken_by_other_commands(bag, tmp_path, hpid):
     gains = {"p": 400.0 * inertia, "i": 500.0 * inertia, "d": 40.0 * inertia}
     node = {"ros__parameters": {"joint": "arm_joint_4", "law": "pid", "gains": gains}}
     pid.write_text(yaml.safe_dump({"a": node}))
-    for command in (
+    for arguments in (
         ["check-gains", pid, "--inertia", found],
         ["check-gains", pid, "--urdf", found],
         ["robot", found],
         ["upgrade", pid, "--goal", "fast", "--inertia", found, "-o", upgraded],
     ):
-        assert main(list(map(str, command))) == 0
+        assert main(list(map(str, arguments))) == 0
     assert upgraded.is_file()
 
 

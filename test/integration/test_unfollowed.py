@@ -7,8 +7,11 @@ from hpid_ros.experiment.compare import Result, save_numbers
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.result_folder import ResultFolder
 from hpid_ros.messages.series import (
+    DataQuality,
     JointSeries,
+    RecordingQuality,
     RunSeries,
+    StampQuality,
     quality_lines,
     unfollowed,
     unfollowed_lines,
@@ -77,6 +80,14 @@ def test_a_joint_that_moves_though_all_of_its_efforts_are_zero_is_named():
     (line,) = lines(moved_idle=none, moved_driven=some, rested_idle=none)
     assert "every effort of moved_idle is 0" in line
     assert lines(moved_driven=some, rested_idle=none) == []
+
+
+def test_efforts_of_a_part_of_the_time_are_named():
+    for begin, is_named in ((0.3, False), (3.0, True)):
+        states, commands = (StampQuality(99, 0.1, each, 10.0) for each in (0.0, begin))
+        quality = RecordingQuality(joints={"elbow": DataQuality(states, commands)})
+        run = RunSeries("PID", (series("elbow", MOVE, MOVE),), quality=quality)
+        assert any("efforts of elbow begin" in each for each in quality_lines(run)) is is_named
 
 
 def test_a_comparison_names_the_joint_below_the_table_and_in_the_result(experiment_file, tmp_path):

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -200,6 +201,29 @@ def test_runs_under_the_same_conditions_are_compared_in_silence():
 )
 def test_what_differs_is_named_with_both_runs(other, words):
     assert mismatches([numbers("PID"), other]) == [f"runs 'PID' and 'hPID': {words}"]
+
+
+def test_efforts_of_another_time_or_rate_spoil_the_efforts_alone_also_saved():
+    def with_efforts(label, kept):
+        run = recording(label)
+        joints = (
+            replace(each, command_stamps_ns=each.command_stamps_ns[kept], effort=each.effort[kept])
+            for each in run.joints
+        )
+        return run_indices(replace(run, joints=tuple(joints)))
+
+    whole = numbers("PID")
+    assert mismatches([whole, with_efforts("hPID", slice(2, None))]) == []
+    for kept, what in ((slice(500, None), "times"), (slice(None, None, 2), "rates")):
+        found = with_efforts("hPID", kept)
+        saved = runs_from_mapping(Comparison((found,)).as_mapping(), "x.json")
+        for other in (found, *saved):
+            line = f"runs 'PID' and 'hPID': {what} of the efforts differ: a, b"
+            assert mismatches([whole, other]) == [line]
+            comparison = Comparison((whole, other))
+            assert math.isnan(comparison.ratio("hPID", IVC))
+            assert comparison.ratio("hPID", ITAE) == 1.0
+    assert "efforts" not in whole.as_mapping()["conditions"]
 
 
 def test_repeats_and_runs_of_unknown_conditions_are_named():
