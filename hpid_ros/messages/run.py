@@ -183,6 +183,7 @@ _STRAYS = 30  # states that come so much late; more are a clock of their own
 _RUN_SPACING_NS = 1_000_000_000_000_000
 """Added to the stamps of each run after another one: longer than any run."""
 _FOREVER_NS = 2**63 - 1
+_NO_EFFORT_WITHIN = "no effort lies within the time that is read, or efforts are on another clock"
 _EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
 
 
@@ -238,10 +239,11 @@ class JointRun:
             return None
         reference, kind, count, begin = self._reference(whole, window)
         commands, command_clock, effort = self._commands()
+        no_effort = _NO_EFFORT_WITHIN if len(commands.stamps_ns) else self._no_effort
         commands = commands.within(window.first_ns, window.last_ns)
         if np.array_equal(commands.stamps_ns, states.stamps_ns):
             commands = commands._replace(stamps_ns=states.stamps_ns)
-        losses, answers = self._losses(states, commands, command_clock)
+        losses, answers = self._losses(states, commands, command_clock, effort)
         if len(reference):
             reference = Ordered(whole.stamps_ns, reference).within(*window[1:]).values
         for array in (*states[:2], *commands[:2], reference):
@@ -257,7 +259,7 @@ class JointRun:
             references=count,
             reference_from=None if begin is None else (begin - window.origin_ns) / NANOSECONDS,
             effort=effort if len(commands.stamps_ns) else NONE,
-            no_effort="" if len(commands.stamps_ns) else self._no_effort,
+            no_effort="" if len(commands.stamps_ns) else no_effort,
         )
         return series, losses, quality
 
@@ -339,7 +341,9 @@ class JointRun:
             )
         return samples, not_finite
 
-    def _losses(self, states: Ordered, commands: Ordered, clock: str) -> tuple[Losses, bool]:
+    def _losses(
+        self, states: Ordered, commands: Ordered, clock: str, topic: str
+    ) -> tuple[Losses, bool]:
         """Return what went missing, and whether commands answer states at all."""
         count = len(states.stamps_ns)
         if not len(commands.stamps_ns):
@@ -350,7 +354,8 @@ class JointRun:
         places = np.searchsorted(commands.stamps_ns, states.stamps_ns)
         places = np.minimum(places, len(commands.stamps_ns) - 1)
         answered = int(np.count_nonzero(commands.stamps_ns[places] == states.stamps_ns))
-        if clock == "receive" or not answered:
+        # A trajectory controller reports at a rate of its own.
+        if clock == "receive" or not answered or topic in self._recording.reports:
             return Losses(0, commands.repeated), False
         return Losses(count - answered, commands.repeated), True
 
@@ -640,6 +645,13 @@ def _run(
                 one, losses[joint], qualities[joint] = found
                 series.append(one)
     recording.notes.extend(_foreign_clocks(qualities))
+    is_window = start is not None or end is not None
+    streams = [each for found in qualities.values() for each in (found.states, found.commands)]
+    if is_window and any(x.repeated or x.out_of_order or x.not_finite for x in streams):
+        recording.notes.append(
+            "what is repeated, out of order or not finite is counted in the whole recording, not "
+            "in the window alone"
+        )
     quality = replace(quality, joints=qualities, notes=tuple(recording.notes))
     return RunSeries(label, tuple(series), losses, quality=quality)
 

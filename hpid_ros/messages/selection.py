@@ -489,6 +489,7 @@ class RecordedRun:
         self.commands = {
             topic: JointStream(types[topic], "effort", joints) for topic in choice.commands
         }
+        self.reports = {topic for topic in choice.commands if types[topic] == CONTROLLER_STATE}
         elements: dict[str, dict[int, str]] = {}
         for joint, (topic, element) in choice.command_topics.items():
             elements.setdefault(topic, {})[element] = joint

@@ -236,6 +236,8 @@ def spectrum(t: Numbers, x: Numbers) -> Spectrum | None:
     if x.size < SHORTEST_SEGMENT or t[-1] <= t[0]:
         return None
     even = _evenly_spaced(t, x)
+    if even is None:
+        return None
     rate = (even.size - 1) / float(t[-1] - t[0])
     length = min(even.size, max(SHORTEST_SEGMENT, round(SEGMENT * rate)))
     return _mean_of_windows(even, rate, length)
@@ -256,15 +258,17 @@ def amplitude_density(series: JointSeries) -> Spectrum | None:
     return found._replace(frequency=found.frequency[shown], density=np.sqrt(found.density[shown]))
 
 
-def _evenly_spaced(t: Numbers, x: Numbers) -> Numbers:
-    """Return samples one period apart: those there are, and what bridges the gaps."""
+def _evenly_spaced(t: Numbers, x: Numbers) -> Numbers | None:
+    """Return samples one period apart: those there are, and what bridges the gaps, if few."""
     steps = np.diff(t)
     period = float(np.median(steps))
     periods = np.where(steps > GAP * period, np.rint(steps / period), 1.0)
     places = np.concatenate([[0.0], np.cumsum(periods)])
     is_even = float(np.abs(steps - period).max()) <= EVEN_WITHIN * period
-    if is_even or places[-1] > MOST_BRIDGED * x.size:
+    if is_even:
         return np.interp(np.linspace(t[0], t[-1], x.size), t, x)
+    if places[-1] > MOST_BRIDGED * x.size:
+        return None
     return np.interp(np.arange(places[-1] + 1.0), places, x)
 
 

@@ -405,7 +405,7 @@ def _of_bag(
 
 def _mislabelled(label: str, parameters: Mapping[str, Mapping[str, object]]) -> Iterator[str]:
     """Yield a line where a label names one law and the recorded controllers ran another."""
-    words = re.findall("h?pid", label.lower())
+    words = re.findall("(?<![a-z])h?pid", label.lower())
     ran = {str(each["law"]) for each in parameters.values() if "law" in each}
     if words and len(ran) == 1 and ran.isdisjoint(words):
         yield f"run {label!r}: its controllers ran law {ran.pop()!r}: were two labels exchanged?"

@@ -138,7 +138,12 @@ def identify_robot(
         kept, robot = kept.union(driven), as_recorded(robot, recording.joints)
     recording = recording.narrowed(kept)
     records = _records(recording)
-    missing = (*recording.quality.missing_lines, *_losses(recording), *_holds(records, recording))
+    missing = (
+        *recording.quality.missing_lines,
+        *_losses(recording),
+        *_holds(records, recording),
+        *_rare(records),
+    )
     wheels = _wheels(records, robot, base, asked)
     if robot is None:
         alone = [name for name in looked_at if name not in wheels]
@@ -231,6 +236,22 @@ def _holds(records: Sequence[JointRecord], recording: RunSeries) -> Iterator[str
             held.setdefault(line, []).append(each.joint)
     for line, joints in held.items():
         yield f"{', '.join(joints)}: {line}"
+
+
+def _rare(records: Sequence[JointRecord]) -> Iterator[str]:
+    """Yield a line for joints with fewer commands than states."""
+    joints = [
+        each.joint
+        for each in records
+        if each.is_held
+        and len(each.effort) > 1
+        and np.median(np.diff(each.effort_time)) > _GAP * each.period
+    ]
+    if joints:
+        yield (
+            f"{', '.join(joints)}: efforts were recorded more rarely than states: if there were "
+            "others between, the delay is half an effort's period too short"
+        )
 
 
 def _is_held(effort: Numbers, source: str) -> bool:

@@ -73,7 +73,7 @@ def test_labels_that_were_exchanged_are_noticed_by_the_law_that_ran(run, bags):
     _, _, errors = run(*bags, "--labels", "hPID", "PID")
     for label, law in (("hPID", "pid"), ("PID", "hpid")):
         assert f"run {label!r}: its controllers ran law {law!r}: were two" in errors
-    for labels in (("before", "after"), ("pid_tuned", "hpid_tuned")):
+    for labels in (("before", "rapid"), ("pid_tuned", "hpid_tuned")):
         assert run(*bags, "--labels", *labels)[2] == ""
 
 

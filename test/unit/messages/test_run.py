@@ -372,6 +372,13 @@ def test_efforts_that_a_driver_fills_in_without_measuring_are_none(tmp_path, val
     assert run.quality.joints["a"].no_effort == reason
 
 
+def test_a_window_without_efforts_and_flaws_outside_of_it_are_said_to_be(tmp_path):
+    log = [*states(), *commands(2), *commands(1)]
+    quality = read(write(tmp_path / "bag", TWO, in_order(log)), start=3.0).quality
+    assert "no effort lies within the time" in quality.joints["a"].no_effort
+    assert "is counted in the whole recording" in quality.notes[-1]
+
+
 def test_commands_without_efforts_leave_the_measured_ones(tmp_path):
     """A position controller sends no efforts, and the joints it moves are those that count."""
     log = [measured(k, k, -k) for k in (1.0, 2.0, 3.0, 4.0, 5.0)]

@@ -435,6 +435,8 @@ def test_chatter_has_no_number_where_it_cannot_be_seen():
     slow = joint(effort=np.sin(np.arange(100.0)), period_ns=50 * MS)  # 20 Hz
     assert chatter(slow, 20.0) is None
     assert CHATTER.key not in joint_indices(slow)
+    t = np.repeat(np.arange(40) * 0.1, 4) + np.tile(np.arange(4) * 1e-3, 40)  # 4 of 100 commands
+    assert spectrum(t, np.sin(300.0 * t)) is None
 
 
 # All joints ------------------------------------------------------------------------------------

@@ -39,6 +39,11 @@ def test_where_many_states_or_commands_are_missing_a_line_says_how_many():
     )
 
 
+def test_efforts_that_are_rarer_than_the_states_are_said_to_be():
+    (line,) = found(commands=slice(None, None, 5)).missing
+    assert "arm: efforts were recorded more rarely than states" in line
+
+
 def test_a_pause_of_the_recorder_is_not_missing():
     assert found(TIMES % 4.0 < 2.5, TIMES % 4.0 < 2.5).missing == ()
 
