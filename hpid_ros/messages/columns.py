@@ -242,7 +242,6 @@ class Ordered(NamedTuple):
             end,
             gaps=len(late),
             lost=max(min(missing, room), 0),
-            gap_time=float(np.sum(steps[late])) / NANOSECONDS,
             longest_gap=longest,
             longest_gap_at=at,
             **counts,

@@ -42,7 +42,6 @@ class StampQuality:
     end: float = 0.0  # [s] last stamp, likewise
     gaps: int = 0  # intervals longer than 1.5 periods
     lost: int = 0  # samples that would fill the gaps, no more than the whole time has room for
-    gap_time: float = 0.0  # [s] sum of the gaps
     longest_gap: float = 0.0  # [s] the longest; zero if there is none
     # [s] when it begins, in seconds since the first state of any joint
     longest_gap_at: float = 0.0
@@ -50,11 +49,6 @@ class StampQuality:
     out_of_order: int = 0  # samples with an earlier stamp than the sample recorded before
     # samples that were left out, their number being NaN, infinite or beyond 1e50
     not_finite: int = 0
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether nothing is missing, repeated, out of order or unusable."""
-        return not (self.lost or self.repeated or self.out_of_order or self.not_finite)
 
 
 @dataclass(frozen=True)
@@ -91,11 +85,6 @@ class DataQuality:
         late = max(commands.begin - states.begin, 0.0) + max(states.end - commands.end, 0.0)
         return late / (states.end - states.begin)
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether neither states nor commands miss anything."""
-        return self.states.is_complete and self.commands.is_complete
-
 
 @dataclass(frozen=True)
 class RecordingQuality:
@@ -107,12 +96,6 @@ class RecordingQuality:
     notes: tuple[str, ...] = ()  # one line for each thing that was assumed or left out on purpose
     missed: Mapping[str, int] = field(default_factory=dict)
     stood_still: float = 0.0  # [s] how long the recorder itself stood still
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether all was recorded, every file was read whole and no joint misses anything."""
-        is_whole = not (self.unreadable or self.missed or self.stood_still)
-        return is_whole and all(each.is_complete for each in self.joints.values())
 
     @property
     def missing_lines(self) -> tuple[str, ...]:
