@@ -245,8 +245,18 @@ class GoalFollower:
         return self._end(CANCELLED)
 
     def leave(self, reason: str) -> Outcome:
-        """End the active goal because its follower ends, and stop."""
-        return self._abort(reason)
+        """End the active goal because its follower ends, and stop.
+
+        Joints whose states have not come back are sent to where they were seen last: else their
+        controllers, once they have states, would go on with the trajectory that was aborted.
+        """
+        if self.now_ns is None:
+            return self._abort(reason)
+        seen = [at for at in sorted(self._held_late) if self._joints[at].stamp_ns is not None]
+        self._held_late.clear()
+        if not seen:
+            return self._abort(reason)
+        return Outcome(None, self._stop({at: [Knot(0, self._settle(at), 0.0)] for at in seen}))
 
     def yield_joints(self, joints: Collection[str]) -> Outcome:
         """End the active goal because another node has sent its joints a trajectory.
@@ -494,15 +504,20 @@ class GoalFollower:
         self._held_late -= found
         knots = {}
         for at in sorted(found):
-            joint = self._joints[at]
-            position, velocity = joint.position, joint.velocity
-            if joint.is_endless and joint.is_known:  # in the turn in which the reference is
-                there = joint.peek(now_ns)[0]
-                position = there - joint.off(there, position)
-            joint.rest(position)
+            position, velocity = self._settle(at), self._joints[at].velocity
             ahead = position + velocity * LEAD_NS * SECONDS_PER_NANOSECOND
             knots[at] = coast_down(position, velocity, (ahead, velocity), self._braking(at))
         return Outcome(None, self._stop(knots))
+
+    def _settle(self, at: int) -> float:
+        """Let a joint's reference rest where the joint was seen last, and return that."""
+        joint = self._joints[at]
+        position = joint.position
+        if joint.is_endless and joint.is_known:  # in the turn in which the reference is
+            there = joint.peek(self._now())[0]
+            position = there - joint.off(there, position)
+        joint.rest(position)
+        return position
 
     def _abort(self, line: str, left_alone: Collection[int] = ()) -> Outcome:
         return self._end(Result(ResultCode.INVALID_GOAL, line), left_alone=left_alone)

@@ -66,6 +66,19 @@ def late(group):
     return group
 
 
+def test_a_follower_that_ends_before_the_states_are_back_leaves_no_motion_behind():
+    group = started()
+    group.run(0.3)
+    group.follower.note_timeout(0.7)
+    there = [*group.position]
+    group.note(group.follower.leave("the node ends"))
+    assert group.follower.leave("once more").trajectory is None
+    group.seen = lambda parts: []
+    group.stamp_ns += SECOND
+    group.run(2.0)
+    assert group.position == pytest.approx(there, abs=0.01)
+
+
 def test_a_goal_that_begins_before_all_joints_were_stopped_is_followed():
     group = late(started())
     group.begin(moving())
