@@ -16,7 +16,7 @@ from rclpy.task import Future
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
-from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.joint_loop import JointLoop, LoopState
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings import LoopSettings
@@ -359,7 +359,7 @@ class JointController(ManagedNode):
         self._health.refuse(line)
 
     def _report(self) -> None:
-        if self._is_timeout_reported and not self._has_timed_out():
+        if self._is_timeout_reported and self._loop.state is not LoopState.SILENT:
             self._is_timeout_reported = False
             self.get_logger().info("states come again: the joint is controlled")
         waiting = "" if self._is_listening else self._waits_for()

@@ -1,6 +1,7 @@
 """What rclpy keeps to itself, and qualities of service: newest commands, overrides of a topic."""
 
 import time
+from unittest.mock import MagicMock
 
 import pytest
 from harness.graph import ros_arguments
@@ -15,7 +16,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.nodes.core import rclpy_internals
+from hpid_ros.nodes.core import middleware, rclpy_internals
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import NEWEST_STATES, OFFERED, overridable, steady_timer
 
@@ -85,6 +86,16 @@ def test_a_timer_that_is_reset_again_and_again_leaves_the_others_alone(node):
         executor.spin_once(timeout_sec=period)
     assert len(calls) <= (time.monotonic() - begun) / period
     executor.shutdown()
+
+
+def test_all_nodes_of_a_process_wait_for_acknowledgements_as_long_as_one_of_them_would():
+    publisher, granted = MagicMock(), []
+    publisher.wait_for_all_acked = lambda within: granted.append(within) or time.sleep(0.01)
+    middleware._acknowledged_by.cache_clear()
+    for _ in range(2):
+        middleware.wait_until_acknowledged(MagicMock(), publisher, "the last command")
+    middleware._acknowledged_by.cache_clear()
+    assert granted[1] < granted[0]
 
 
 @pytest.mark.parametrize(

@@ -378,8 +378,8 @@ class Supervisor:
                     self.request(128 + number, ends_by=number)
 
     def _excuse(self, stood: float) -> None:
-        """Give a close the time back in which the process seems to have been stopped, in [s]."""
-        if self.are_left and stood > _STOOD_STILL:
+        """Give a stop the time back in which the process seems to have been stopped, in [s]."""
+        if self.is_heeded and stood > _STOOD_STILL:
             with self._lock:
                 self._asked_at += stood
 

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from threading import Lock
 from weakref import WeakKeyDictionary
 
@@ -119,15 +121,21 @@ def subscribe_raw(
     )
 
 
-_ACKNOWLEDGED_WITHIN = Duration(seconds=0.5)
+_ACKNOWLEDGED_WITHIN = 0.5  # [s]
+
+
+@cache
+def _acknowledged_by() -> float:
+    """Return until when all nodes of a process wait that ends: as long as one of them would."""
+    return time.monotonic() + _ACKNOWLEDGED_WITHIN
 
 
 def wait_until_acknowledged(node: Node, publisher: Publisher, what: str) -> None:
     """Wait until every reliable subscriber has acknowledged what was sent last, for a while."""
-    if not publisher.wait_for_all_acked(_ACKNOWLEDGED_WITHIN):
+    within = Duration(seconds=max(0.0, _acknowledged_by() - time.monotonic()))
+    if not publisher.wait_for_all_acked(within):
         node.get_logger().warning(
-            f"{what} was not acknowledged by every subscriber within "
-            f"{_ACKNOWLEDGED_WITHIN.nanoseconds * 1e-9:g} s"
+            f"{what} was not acknowledged by every subscriber within {_ACKNOWLEDGED_WITHIN:g} s"
         )
 
 

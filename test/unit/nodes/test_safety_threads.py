@@ -16,6 +16,7 @@ from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_trajectory import decode_trajectory
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Supervisor
+from hpid_ros.nodes.joint_controller import JointController
 from hpid_ros.nodes.parts import references as controller_references
 from hpid_ros.nodes.parts.controller import ControllerHealth
 from hpid_ros.nodes.parts.joint_topics import Commands, Sink
@@ -162,6 +163,26 @@ def test_a_check_that_raises_is_called_again(capsys):
         supervisor._wake(0)
         thread.join()
     assert "RuntimeError: the middleware" in capsys.readouterr().err
+
+
+def test_a_stop_has_the_time_back_in_which_the_process_stood_still():
+    """As with Ctrl-Z during a damping stop: it goes on, and no callback is to blame."""
+    supervisor = Supervisor()
+    supervisor.request()
+    supervisor.is_heeded = True
+    supervisor._asked_at -= 10.0
+    supervisor._excuse(10.0)
+    supervisor._end()
+    assert not supervisor.has_cut_effort
+    assert supervisor._end() == pytest.approx(executor._LEFT_WITHIN, abs=2.0)
+
+
+@pytest.mark.parametrize("state", [LoopState.SILENT, LoopState.HOLDING])
+def test_after_a_timeout_a_joint_is_called_controlled_from_the_first_usable_state(state):
+    controller = MagicMock(**{"_has_timed_out.return_value": False})
+    controller._loop.state = state
+    JointController._report(controller)
+    assert controller.get_logger().info.called is (state is LoopState.HOLDING)
 
 
 def test_where_nobody_reads_errors_the_process_ends_all_the_same(monkeypatch):
