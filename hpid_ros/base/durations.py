@@ -52,9 +52,11 @@ class Durations:
 
         With few calls of numpy: a node does this between two samples.
         """
-        values = np.array(self._fresh, dtype=np.int64)
+        # Another thread may append meanwhile: what is deleted is what was copied.
+        fresh = self._fresh[:]
+        values = np.array(fresh, dtype=np.int64)
         # Emptied in place: the hot path holds its append.
-        del self._fresh[:]
+        del self._fresh[: len(fresh)]
         if not values.size:
             return NOTHING
         histogram = np.bincount(_EDGES.searchsorted(values, "right"), minlength=_BINS)

@@ -152,6 +152,7 @@ class ReceivedClaims:
         self._received: dict[tuple[str, str, int, str], tuple[float, Claim]] = {}
 
     def receive(self, claim: Claim, now: float) -> None:
+        self._drop_ended(now)
         if claim.state is ClaimState.RELEASED:
             self._received.pop(claim.owner, None)
         else:
@@ -159,16 +160,19 @@ class ReceivedClaims:
 
     def standing(self, now: float) -> Claim | None:
         """Return the claim that stands, the strongest of several; None if there is none."""
-        self._received = {
-            owner: (at, claim)
-            for owner, (at, claim) in self._received.items()
-            if now - at <= LEASE
-        }
+        self._drop_ended(now)
         claims = [claim for _, claim in self._received.values()]
         for claim in claims:
             if not any(claim.yields_to(other) for other in claims if other is not claim):
                 return claim
         return None
+
+    def _drop_ended(self, now: float) -> None:
+        self._received = {
+            owner: (at, claim)
+            for owner, (at, claim) in self._received.items()
+            if now - at <= LEASE
+        }
 
 
 _BEAT = 0.25  # [s]; six of them are a lease

@@ -31,6 +31,20 @@ def require_spread(spread, values):
         assert told == pytest.approx(exact, rel=0.012)
 
 
+def test_what_another_thread_notes_during_a_report_is_in_the_next(monkeypatch):
+    durations, convert = Durations(), np.array
+    durations.note(5_000)
+
+    def array(*arguments, **options):
+        durations.note(6_000)
+        return convert(*arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(np, "array", array)
+        assert durations.recent().samples == 1
+    assert durations.recent().maximum == 6.0
+
+
 def test_nothing_noted_is_nothing():
     durations = Durations()
     assert durations.recent() == durations.whole() == NOTHING

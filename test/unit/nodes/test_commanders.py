@@ -230,6 +230,9 @@ def test_a_claim_stands_for_its_lease_or_until_it_is_released():
     heard.receive(claim, 20.0)
     heard.receive(replace(claim, state=ClaimState.RELEASED), 20.1)
     assert heard.standing(20.1) is None
+    for pid in range(5):  # each is killed, and nobody asks what stands
+        heard.receive(replace(claim, pid=pid), 30.0 + 2.0 * LEASE * pid)
+    assert len(heard._received) == 1
 
 
 def test_a_lock_has_one_holder_and_names_it():
