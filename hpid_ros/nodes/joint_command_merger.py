@@ -20,7 +20,13 @@ from hpid_ros.control.settings import LARGEST_EFFORT, LONGEST_TIMEOUT
 from hpid_ros.messages.joint_state import EffortReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.middleware import ALL_COMMANDS, full_name, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.middleware import (
+    ALL_COMMANDS,
+    full_name,
+    steady_timer,
+    subscribe_raw,
+    wait_until_acknowledged,
+)
 from hpid_ros.nodes.core.parameters import read, read_one
 from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.rclpy_internals import given_parameters
@@ -50,7 +56,7 @@ _LEAST_SHARE = 0.01
 
 
 def _timeout(meaning: str) -> Any:
-    return quantity(meaning, "s", default=0.1, least=_LEAST_TIMEOUT, most=LONGEST_TIMEOUT)
+    return quantity(meaning, "s", default=0.15, least=_LEAST_TIMEOUT, most=LONGEST_TIMEOUT)
 
 
 @dataclass(frozen=True)
@@ -80,9 +86,11 @@ class MergerParameters(Record):
         least=_LEAST_SHARE,
         most=1.0,
     )
+    # longer than state_timeout: the fallback_effort of a controller comes before the fallback
     command_timeout: float = _timeout("A joint is silent after so long")
     fade_in_time: float = quantity(
-        "A joint that comes back is faded in from its fallback for so long [s]; 0 jumps",
+        "A joint that comes back is faded in from its fallback for so long [s], all joints from "
+        "zero for a receiver that has got nothing yet; 0 jumps",
         default=0.1,
         least=0.0,
         most=_LONGEST_FADE_IN,
@@ -233,7 +241,6 @@ def _readings(merger: CommandMerger) -> dict[str, object]:
 _ZEROS = 10  # with which it leaves: nobody acknowledges a best-effort message
 _BETWEEN_ZEROS = 0.01  # [s]
 _ZEROS_WITHHELD = 100  # at most, while it is not known whose a subscription is
-_ACKNOWLEDGED_WITHIN = 0.5  # [s], by reliable subscribers
 
 
 class JointCommandMerger(ManagedNode):
@@ -377,7 +384,7 @@ class JointCommandMerger(ManagedNode):
         self._health.restart()
         merger = self._stream.begin(settings)
         if self._commanders is None:
-            patience = self._wanted.given.command_timeout
+            patience = max(joint.timeout for joint in settings.joints)
             self._commanders = Commanders(self, order, merger.counts, patience)
         else:
             self._commanders.go_on(order, merger.counts)
@@ -506,7 +513,7 @@ class JointCommandMerger(ManagedNode):
             time.sleep(_BETWEEN_ZEROS)
             self._watch.look()
             self._repeat_zero()
-        self.wait_until_cut(_ACKNOWLEDGED_WITHIN)
+        wait_until_acknowledged(self, self._output.publisher, "the last command, of zero efforts,")
 
     def check(self) -> float:
         """Send the fallbacks of silent joints, and what else is due."""

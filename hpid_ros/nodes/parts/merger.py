@@ -26,7 +26,7 @@ class MergedJoint(NamedTuple):
     """One joint of a merged command."""
 
     name: str
-    timeout: float = 0.1  # [s] it is silent when no usable command has come for longer than this
+    timeout: float = 0.15  # [s] it is silent when no usable command has come for longer than this
     fallback: float = 0.0  # [N m] or [N], effort that it is sent while silent
     # whether the merger starts without a command of this joint, at its fallback
     may_be_missing: bool = False
@@ -319,8 +319,9 @@ class CommandMerger:
     All times are of one steady clock, in [ns]. The caller it sends what it returns at once.
     """
 
-    def __init__(self, settings: MergerSettings) -> None:
+    def __init__(self, settings: MergerSettings, *, from_zero: bool = False) -> None:
         self.settings = settings
+        self._from_zero = from_zero  # whether the joints have had no effort before
         self.counts = {name: JointCounts() for name in settings.names}
         self.foreign = 0
         self.shortest_timeout = min(joint.timeout for joint in settings.joints)  # [s]
@@ -374,7 +375,7 @@ class CommandMerger:
         self._forgiven.discard(index)
         self._efforts[index] = effort
         self.rounds.answer(index, stamp_ns, now_ns)
-        if not self._may_send():
+        if not self._may_send(now_ns):
             return None
         return self._finish(now_ns) if self.rounds.is_complete else None
 
@@ -389,7 +390,7 @@ class CommandMerger:
         """See who has fallen silent and what is due; to be called when :meth:`time_left` says."""
         self._forgive(now_ns)
         has_changed = self._fall_silent(now_ns)
-        if not self._may_send():
+        if not self._may_send(now_ns):
             return None
         deadline_ns = self.rounds.deadline_ns
         if deadline_ns is not None and (now_ns >= deadline_ns or self.rounds.is_complete):
@@ -434,11 +435,13 @@ class CommandMerger:
         if self._fade_in_ns:
             self._fades[index] = _Fade(now_ns, self._joints[index].fallback)
 
-    def _may_send(self) -> bool:
+    def _may_send(self, now_ns: int) -> bool:
         if not self.has_begun:
             self.has_begun = not self.missing
             if not self.has_begun:
                 self.rounds.forget()
+            elif self._from_zero:  # one may have kept the others waiting, which have wound up
+                self.supersede(0.0, now_ns)
         return self.has_begun
 
     def _forgive(self, now_ns: int) -> None:

@@ -199,6 +199,7 @@ class ReceiverWatch:
         self._is_asking = False
         self._asked_at = 0.0
         self._client: Any = None
+        self._request: Future | None = None  # the last one, answered or not
         self.activity_topic = "nobody"
         """Where it is published whether the controller is active."""
         if receiver.name:
@@ -266,8 +267,10 @@ class ReceiverWatch:
             return
         self._is_asking, self._asked_at = True, time.monotonic()
         self._requests += 1
-        request = self._client.call_async(GetParameters.Request(names=list(_ASKED)))
-        request.add_done_callback(partial(self._answered, self._requests))
+        if self._request is not None:  # else the client keeps it until it is answered
+            self._client.remove_pending_request(self._request)
+        self._request = self._client.call_async(GetParameters.Request(names=list(_ASKED)))
+        self._request.add_done_callback(partial(self._answered, self._requests))
 
     def _answered(self, number: int, future: Future) -> None:
         answer = future.result()
@@ -359,7 +362,7 @@ class MergedStream:
         self._is_armed = False
 
     def begin(self, settings: MergerSettings) -> CommandMerger:
-        merger = CommandMerger(settings)
+        merger = CommandMerger(settings, from_zero=not self.output.has_sent)
         with self._lock:
             self.output.set_joints(settings.names)
             self.merger = merger
@@ -413,12 +416,25 @@ class MergedStream:
         with held(self._lock):
             return self.output.zero(is_last=is_last)
 
-    def _send(self, merged: Merged | None, merger: CommandMerger, now_ns: int) -> None:
+    def _look(self, merger: CommandMerger, now_ns: int) -> None:
+        """Publish what is due, which may answer nothing; only to be called by who has the lock."""
+        has_come = merger.rounds.deadline_ns is not None
+        self._send(merger.look(now_ns), merger, now_ns, is_answer=has_come)
+
+    def _send(
+        self,
+        merged: Merged | None,
+        merger: CommandMerger,
+        now_ns: int,
+        *,
+        is_answer: bool = True,
+    ) -> None:
         """Publish what is to be sent; only to be called by who has the lock."""
         if merged is None or merger is not self.merger or self._is_cut:
             return
         self.output.send(merged)
-        self._note_delay(now_ns - merger.rounds.began_ns)
+        if is_answer:
+            self._note_delay(now_ns - merger.rounds.began_ns)
 
     def _arm(self, merger: CommandMerger, now_ns: int) -> None:
         """Have the timer look when what has come is due, if anything is."""
@@ -446,7 +462,7 @@ class MergedStream:
             return
         now_ns = time.perf_counter_ns()
         with self._lock:
-            self._send(merger.look(now_ns), merger, now_ns)
+            self._look(merger, now_ns)
         self._arm(merger, now_ns)
 
     # What follows is called on the supervisor's thread, also while a callback does not return.
@@ -459,7 +475,7 @@ class MergedStream:
         now_ns = time.perf_counter_ns()
         with held(self._lock):
             silences = merger.silences
-            self._send(merger.look(now_ns), merger, now_ns)
+            self._look(merger, now_ns)
             has_changed = merger.silences > silences
             time_left = merger.time_left(now_ns)
         if has_changed:

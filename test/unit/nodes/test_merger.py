@@ -2,13 +2,16 @@
 
 import math
 from types import SimpleNamespace
-from unittest.mock import MagicMock
+from unittest.mock import MagicMock, call
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.control.settings import Timing
+from hpid_ros.nodes import joint_command_merger
+from hpid_ros.nodes.joint_command_merger import JointCommandMerger, MergerParameters
 from hpid_ros.nodes.parts.merger import (
     CommandMerger,
     Merged,
@@ -17,7 +20,7 @@ from hpid_ros.nodes.parts.merger import (
     Receiver,
     joints_of,
 )
-from hpid_ros.nodes.parts.merger_output import ARRAY, GroupOutput, ReceiverWatch
+from hpid_ros.nodes.parts.merger_output import ARRAY, GroupOutput, MergedStream, ReceiverWatch
 
 MS = 1_000_000
 PERIOD = 2 * MS
@@ -331,6 +334,65 @@ def test_what_was_sent_in_place_of_the_joints_is_where_they_come_back_from():
     robot.wait(20 * MS)
     robot.state(robot.stamp + PERIOD, dict.fromkeys(NAMES, 8.0))
     assert robot.efforts == dict.fromkeys(NAMES, 8.0)
+
+
+def stream(delays, has_sent=True, **joint):
+    """Return the stream of one joint."""
+    output = MagicMock(has_sent=has_sent)
+    stream = MergedStream(MagicMock(), output, delays.append, MagicMock())
+    stream.begin(MergerSettings((MergedJoint("elbow", 0.5, **joint),)))
+    return stream
+
+
+@pytest.mark.parametrize("has_sent", [True, False])
+def test_a_receiver_that_has_got_nothing_is_sent_efforts_that_begin_at_zero(has_sent):
+    """Controllers may have wound up while one of them kept the others waiting."""
+    merged = stream([], has_sent)
+    merged.take("elbow", MS, 40.0)
+    (first,) = merged.output.send.call_args.args
+    assert first.efforts == (40.0 if has_sent else 0.0,)
+
+
+def test_what_answers_nothing_has_no_delay():
+    delays = []
+    merged = stream(delays, may_be_missing=True)
+    merged.check()
+    assert merged.output.send.called
+    assert not delays
+    merged.take("elbow", MS, 1.0)
+    assert len(delays) == 1
+
+
+def test_a_controller_says_what_its_joint_falls_back_to_before_the_merger_does():
+    assert MergerParameters().command_timeout > Timing().state_timeout
+
+
+def test_who_commanded_a_joint_first_is_followed_for_as_long_as_any_joint_may_be_silent(
+    monkeypatch,
+):
+    monkeypatch.setattr(joint_command_merger, "Commanders", lambda *given: given)
+    joints = MergedJoint("elbow"), MergedJoint("wrist", 0.7)
+    node = MagicMock(_commanders=None, **{"_wanted.settings.return_value": MergerSettings(joints)})
+    JointCommandMerger._start_merging(node)
+    assert node._commanders[-1] == 0.7
+
+
+def test_a_last_zero_that_nobody_acknowledges_is_reported():
+    node = MagicMock(_zeros_left=0)
+    node._output.publisher.wait_for_all_acked.return_value = False
+    JointCommandMerger.close(node)
+    (line,) = node.get_logger().warning.call_args.args
+    assert "of zero efforts, was not acknowledged" in line
+
+
+def test_a_receiver_that_does_not_answer_is_asked_again_and_no_request_is_kept():
+    node = MagicMock()
+    client = node.create_client.return_value
+    watch = ReceiverWatch(node, Receiver(NAME, (), TOPIC), MagicMock(), "/manager", print)
+    for _ in range(2):
+        watch._ask()
+        watch._asked_at -= 10.0
+    assert client.remove_pending_request.call_args_list == [call(client.call_async.return_value)]
 
 
 def test_two_sources_of_one_joint_give_themselves_away():
