@@ -10,7 +10,7 @@ from importlib import import_module
 
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, RunError
-from hpid_ros.base.processes import heed_interrupts, optional_libraries
+from hpid_ros.base.processes import heed_interrupts, optional_libraries, require_ros
 from hpid_ros.base.text import shown
 from hpid_ros.cli import arguments, robot_arguments
 from hpid_ros.cli.arguments import COMMANDS, Parser
@@ -55,6 +55,8 @@ def _run(options: argparse.Namespace) -> int:
     try:
         with optional_libraries():
             if options.command in ("compare", "run") and not vars(options).get("in_process"):
+                how = " without --in-process" if options.command == "compare" else ""
+                require_ros(f"hpid {options.command}{how}")
                 from hpid_ros.experiment.processes import warm_up
 
                 warm_up()

@@ -106,6 +106,17 @@ def test_what_cannot_be_read_run_or_written_is_one_line_and_leaves_no_folder(
     assert "the result folder /proc/result" in told
 
 
+@pytest.mark.parametrize(
+    ("command", "what"), [("compare", "hpid compare without --in-process"), ("run", "hpid run")]
+)
+def test_a_graph_without_ros_is_one_line_and_leaves_no_folder(
+    command, what, tmp_path, monkeypatch, refused
+):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    assert refused(command, "-o", tmp_path / "r").startswith(f"hpid: {what} needs ROS 2 (rclpy)")
+    assert not (tmp_path / "r").exists()
+
+
 def test_what_the_system_refuses_is_one_line(monkeypatch, tmp_path, refused):
     def denied(*_):
         raise PermissionError(13, "Permission denied", "/bags/x")
@@ -138,6 +149,28 @@ def test_a_reader_that_has_read_enough_is_no_error(arguments, read):
     finally:
         command.kill()
         command.communicate()
+
+
+@pytest.mark.parametrize(
+    ("engine", "last"),
+    [
+        ("mujoco", "certificates.json"),
+        pytest.param("both", "engines.json", marks=needs_bullet),
+    ],
+)
+def test_a_reader_that_has_read_enough_costs_no_result(experiment_file, tmp_path, engine, last):
+    file, folder = experiment_file(duration=0.05), tmp_path / "r"
+    command = ["compare", str(file), "--in-process", "--engine", engine, "-o", str(folder)]
+    reader, writer = os.pipe()
+    os.close(reader)
+    ended = subprocess.run(
+        [sys.executable, "-m", "hpid_ros.cli.main", *command],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+    )
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (UNREAD, b"")
+    assert (folder / last).exists()
 
 
 def test_a_full_disk_behind_the_output_is_one_line(monkeypatch):

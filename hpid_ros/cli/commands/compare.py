@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from rich.console import Console
@@ -53,8 +54,9 @@ def run(options: argparse.Namespace) -> int:
     with RunProgress(console, experiment, tuple(experiment.controllers)) as progress:
 
         def show(result: Result, reports: Sequence[RunReport]) -> None:
-            progress.finish()
-            _print(console, result, reports)
+            with suppress(OSError):  # the result is written all the same; the next line meets it
+                progress.finish()
+                _print(console, result, reports)
 
         compare(
             *(experiment, output, progress),
@@ -100,10 +102,11 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
     with RunProgress(console, first, labels) as progress:
 
         def show(result: Result, reports: Sequence[RunReport]) -> None:
-            progress.finish()
-            console.print(f"\nin {result.experiment.world.engine}:")
-            _print(console, result, reports)
-            console.print()
+            with suppress(OSError):  # the result is written all the same; the next line meets it
+                progress.finish()
+                console.print(f"\nin {result.experiment.world.engine}:")
+                _print(console, result, reports)
+                console.print()
 
         grids = compare_engines(
             *(experiments, output, progress),
