@@ -20,6 +20,7 @@ from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -97,7 +98,7 @@ def _digest(content: bytes) -> str:
 
 _COMPUTING = ("hpid_ros", "python", "numpy", "pin")
 _SOURCES = "sources of hpid_ros"
-_of_thread = threading.local()  # a world is one thread's own
+_keeper, _alone = WorldKeeper(), threading.Lock()  # an engine's warnings are the process's own
 
 
 @cache
@@ -109,6 +110,7 @@ def traits(engines: tuple[str, ...]) -> Mapping[str, str]:
     counted = {*_COMPUTING, *engines}
     found = {name: version for name, version in versions().items() if name in counted}
     found["python"] = found["python"].rpartition(".")[0]
+    found["scipy"] = metadata.version("scipy")
     root = Path(hpid_ros.__file__).parent
     sources = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
@@ -129,9 +131,9 @@ def work(parcel: Parcel, wanted: Mapping[str, str], task: RunTask) -> RunRecord:
     found = differences(wanted, traits((task.world.engine,)))
     if found:
         raise RunError(f"it has {found}")
-    if not hasattr(_of_thread, "keeper"):
-        _of_thread.keeper = WorldKeeper()
-    return attempted(unpack(parcel, task), _of_thread.keeper)
+    run = unpack(parcel, task)
+    with _alone:
+        return attempted(run, _keeper)
 
 
 _ADDRESS = re.compile(
@@ -166,12 +168,10 @@ class Cluster(AbstractContextManager["Cluster"]):
 
     def __str__(self) -> str:
         workers = dict(self._client.scheduler_info(n_workers=-1)["workers"])
-        threads = sum(each["nthreads"] for each in workers.values())
         count = f"{len(workers)} worker{'s' * (len(workers) != 1)}" if workers else "no worker yet"
-        at_once = f", {threads} runs at once" if workers else ""
         has_page = "dashboard" in self._client.scheduler_info()["services"]
         page = f"; dashboard: {self._client.dashboard_link}" if has_page else ""
-        return f"{count} at {self._address}{at_once}{page}"
+        return f"{count} at {self._address}{page}"
 
     def __call__(self, tasks: Mapping[Any, RunTask]) -> Records:
         """Run tasks, as :func:`~hpid_ros.experiment.batch.run_batch` does."""
@@ -215,6 +215,11 @@ class Cluster(AbstractContextManager["Cluster"]):
             raise RunError(
                 f"the scheduler at {self._address} is lost, and {left + 1} runs with it; "
                 "--resume carries a study on"
+            ) from None
+        except Exception as error:  # as of a run that it cannot read
+            line = " ".join(f"{type(error).__name__}: {error}".split())
+            raise RunError(
+                f"the scheduler or a worker at {self._address} cannot take part: {line}"
             ) from None
 
     def close(self) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from rich.console import Console, RenderableType
 
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import SettingError, require_known
+from hpid_ros.base.errors import RunError, SettingError, require_known
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
@@ -88,7 +88,7 @@ def _running(
         print_engine_note(experiments)
         try:
             yield runner, folder
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, RunError):
             console.print(f"{interrupted}: {folder.path}", soft_wrap=True)
             raise
         console.print(f"result: {folder.path}", soft_wrap=True)
