@@ -10,7 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hpid_ros.base.errors import ExperimentError, HpidError, TrajectoryError, unknown_name
+from hpid_ros.base.errors import (
+    ExperimentError,
+    HpidError,
+    SettingError,
+    TrajectoryError,
+    unknown_name,
+)
 from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import require_label
 from hpid_ros.base.records import Section
@@ -38,13 +44,18 @@ def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
     model = settings.model
     if not model.is_on:
         return settings
+    robot = str(world.robot_description)
+    known = RobotDescription.load(robot_source(model.description or robot)).joints
+    idle = [name for name in known if name not in world.joints]
     if not model.locked_joints:
-        robot = RobotDescription.load(world.robot_description)
-        idle = [name for name in robot.joints if name not in world.joints]
         model = replace(model, locked_joints=",".join(idle))
+    elif lacking := [name for name in idle if name not in model.locked]:
+        raise SettingError(
+            f"model.locked_joints lacks {', '.join(lacking)}: what is not driven is in no state"
+        )
     if not model.left_wheel and not world.fixed_base:
         model = _rolling(model, world)
-    return with_inertia(replace(settings, model=model), str(world.robot_description))
+    return with_inertia(replace(settings, model=model), robot)
 
 
 def _rolling(model: ModelSettings, world: WorldSettings) -> ModelSettings:

@@ -156,15 +156,25 @@ def _combinations(axes: Sequence[Axis]) -> list[dict[str, Value]]:
 def _varied(point: Row, experiment: Experiment, joints: Sequence[str]) -> Row:
     """Return a point with its loops, or with the reason why there are none."""
     changes = {k: value for k, value in point.values.items() if k not in WORLD_SETTINGS}
+    has_other_model = any(k == "compensation" or k.startswith("model.") for k in changes)
     loops = _on_robot(experiment.controllers[point.label], experiment.world, point.world)
     for place, each in enumerate(loops):
         if each.joint in joints or not joints:
+            given = dict(each.to_parameters())
+            if has_other_model and _has_inertia_of_model(each, experiment.world):
+                given["inertia"] = 0.0
             try:
-                varied = LoopSettings.from_parameters({**each.to_parameters(), **changes})
+                varied = LoopSettings.from_parameters(given | changes)
                 loops[place] = with_robot(varied, point.world)
             except HpidError as error:
                 return replace(point, refusal=f"{each.joint}: {error}")
     return replace(point, loops=tuple(loops))
+
+
+def _has_inertia_of_model(loop: LoopSettings, world: WorldSettings) -> bool:
+    if not loop.model.is_decoupling:
+        return False
+    return with_robot(replace(loop, inertia=0.0), world).inertia == loop.inertia
 
 
 def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,7 @@ WORLD_SECTIONS = (
 _OF_EXPERIMENTS = ("name", "duration", "reference", "controllers", "compare", "judge")
 """Keys of an experiment that are not of its world."""
 _BY_JOINT = ("encoder_counts", "noise")
+_SAME_PERIOD = 1e-7  # of a period: a moment that near to its beginning is that
 
 
 @dataclass(frozen=True)
@@ -95,10 +96,21 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
     counts = tuple(each.encoder_counts for each in sensors)
     noises = tuple(each.noise for each in sensors)
     homing = tuple(each.homing for each in sensors)
+    period_ns = round(NANOSECONDS / control.rate)
+    events = _whole(Disturbances, root.section("disturbances", {}))
+    workplace = _workplace(root.section("scene", {}), reference)
+
+    def on_period(event: Any, key: str = "time") -> Any:
+        """Move an event that is meant for a period's beginning there: to whole nanoseconds."""
+        asked = getattr(event, key) * control.rate
+        period = round(asked)
+        is_on_one = abs(asked - period) < _SAME_PERIOD
+        return replace(event, **{key: period * period_ns / NANOSECONDS}) if is_on_one else event
+
     world = WorldSettings(
         robot_description=_description(robot, known, folders),
         joints=joints,
-        control_period_ns=round(NANOSECONDS / control.rate),
+        control_period_ns=period_ns,
         engine=physics.engine or default_engine(),
         physics_steps=physics.physics_steps,
         initial_positions=robot.initial_positions,
@@ -110,8 +122,12 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
         position_noise=noises[0] if len(set(noises)) == 1 else noises,
         homing=homing if any(homing) else (),
         velocity=velocity,
-        disturbances=_whole(Disturbances, root.section("disturbances", {})),
-        workplace=_workplace(root.section("scene", {}), reference),
+        disturbances=replace(
+            events,
+            payload=tuple(map(on_period, events.payload)),
+            wrenches=tuple(on_period(each, "start") for each in events.wrenches),
+        ),
+        workplace=replace(workplace, schedule=tuple(map(on_period, workplace.schedule))),
         base=_base(robot, known),
     )
     try:

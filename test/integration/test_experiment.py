@@ -110,6 +110,37 @@ def test_a_duration_is_whole_periods_of_every_rate(experiment_file, rate, end_ns
     assert experiment.duration == end_ns / 1e9
 
 
+def test_an_event_as_a_period_begins_is_of_that_period_at_every_rate(experiment_file):
+    changes = [{"time": time, "mass": 1.0} for time in (0.1, 0.1001)]
+    push = {"link": "payload", "from": 0.1, "duration": 0.01}
+    path = experiment_file(
+        control={"rate": 300},
+        duration=0.2,
+        disturbances={"payload": changes, "wrenches": [push]},
+        scene={"grips": [{"time": 0.1, "closed": True}]},
+    )
+    world = load_experiment(path).world
+    begins_ns = [each.start_ns for each in world.disturbances.in_order()]
+    assert begins_ns == [99_999_990, 99_999_990, 100_100_000]
+    assert world.workplace.schedule[0].time_ns == 99_999_990
+
+
+def test_what_a_model_has_and_nothing_drives_is_locked(experiment_file, tmp_path):
+    text = (ROOT / "urdf" / "mobile_manipulator.urdf").read_text()
+    joint = (
+        '<joint name="more" type="continuous"><parent link="tool0"/><child link="more"/></joint>'
+    )
+    model = tmp_path / "more.urdf"
+    model.write_text(text.replace("</robot>", f'<link name="more"/>{joint}</robot>'))
+    given = {"compensation": "gravity", "model.description": str(model)}
+    experiment = load_experiment(experiment_file(controllers__common=given))
+    assert experiment.controllers["PID"][0].model.locked == ("more",)
+    given["model.locked_joints"] = "arm_joint_6"
+    path = experiment_file(controllers__common=given)
+    with pytest.raises(ExperimentError, match=r"common\.model\.locked_joints: .* lacks more"):
+        load_experiment(path)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -304,6 +304,16 @@ def test_a_grid_is_every_combination_with_every_seed(experiment):
     assert all(task.world.seed == seed for (_, seed), task in tasks.items())
 
 
+def test_an_inertia_of_the_model_is_that_of_the_varied_model(experiment_file):
+    decoupled = {"compensation": "decoupling", "gains": {"p": 300.0, "i": 1000.0, "d": 30.0}}
+    own = {"arm_joint_1": {"inertia": 0.7}}
+    path = experiment_file(compare__hPID={**decoupled, "inertia": 0.0, "joints": own})
+    _, light, heavy = planned(load_experiment(path), "model.mass_scale=1,2", seeds=1).rows
+    pairs = [(a.inertia, b.inertia) for a, b in zip(light.loops, heavy.loops, strict=True)]
+    assert (0.7, 0.7) in pairs
+    assert sum(a < b for a, b in pairs) == len(pairs) - 1
+
+
 def test_named_joints_alone_are_varied_and_judged(experiment):
     sweep = planned(experiment, "mu=0.2", joints=["arm_joint_2"], seeds=1)
     changed = {each.joint for each in sweep.rows[1].loops if each.mu == 0.2}
