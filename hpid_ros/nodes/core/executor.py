@@ -484,7 +484,7 @@ def run(
         with Supervisor() as supervisor:
             code = _run_in_context(make_nodes, command_line, supervisor)
         flush_events(_EVENTS_WITHIN)
-        end_in_time()
+        end_in_time(code)
         for node in ClosingNode.made:
             _destroy(node)
         rclpy.try_shutdown()
@@ -557,9 +557,10 @@ def _run_in_context(
         for node in nodes:
             supervisor.go_on()
             failed.append(_attempt(node.close, FAILED))
-        end_in_time()  # what is left is the middleware's
+        code = supervisor.code or int(any(failed))
+        end_in_time(code)  # what is left is the middleware's
         _attempt(executor.shutdown, None)
-    return supervisor.code or int(any(failed))
+    return code
 
 
 def _stop(executor: Executor, nodes: Sequence[ClosingNode], supervisor: Supervisor) -> None:

@@ -17,10 +17,11 @@ import mmap
 import os
 import signal
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import ClassVar, NoReturn
 
 from rclpy.node import Node
 
@@ -114,15 +115,37 @@ def end_with_the_launch() -> None:
 
 
 _TORN_DOWN_WITHIN = 15.0  # [s]
+_SIGEV_THREAD = 2
 
 
-def end_in_time() -> None:
-    """Have this process end with code 1, and print where it stands, if it takes long from here on.
+class _TimerEvent(ctypes.Structure):
+    """A ``sigevent`` of Linux that has a function called in a thread of its own."""
 
-    To be called when every node has been closed: what is left is the middleware's.
+    _fields_: ClassVar = [
+        ("value", ctypes.c_void_p),  # what it is called with
+        ("signal", ctypes.c_int),
+        ("kind", ctypes.c_int),
+        ("function", ctypes.c_void_p),
+        ("rest", ctypes.c_char * 40),
+    ]
+
+
+def end_in_time(code: int) -> None:
+    """Have this process end with a code, and print where it stands, if it takes long from here on.
+
+    To be called when every node has been closed: what is left is the middleware's. Fast DDS can
+    wait there for a callback that it keeps from the lock (docs/faults.md), while rclpy holds
+    Python's: nothing in Python could end the process.
     """
     _flush()
-    faulthandler.dump_traceback_later(_TORN_DOWN_WITHIN, exit=True)
+    faulthandler.dump_traceback_later(_TORN_DOWN_WITHIN)
+    libc, timer = ctypes.CDLL(None), ctypes.c_void_p()
+    function = ctypes.cast(libc._exit, ctypes.c_void_p).value
+    event = _TimerEvent(code, 0, _SIGEV_THREAD, function)
+    seconds, part = divmod(_TORN_DOWN_WITHIN + 0.5, 1.0)
+    once = (ctypes.c_long * 4)(0, 0, int(seconds), int(part * 1e9))
+    if not libc.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)):
+        libc.timer_settime(timer, 0, ctypes.byref(once), None)
 
 
 def end(code: int) -> NoReturn:
