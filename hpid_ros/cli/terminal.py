@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -34,6 +35,28 @@ def output_console() -> TextConsole:
     """Return where a command prints: in a pipe or a file nothing limits its width."""
     console = TextConsole()
     return console if console.is_terminal else TextConsole(width=UNLIMITED_WIDTH)
+
+
+class Unprinted:
+    """Keeps what cannot be printed from costing the result: it is raised when that is written."""
+
+    def __init__(self) -> None:
+        self._failure: OSError | None = None
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        if not isinstance(error, OSError):
+            return False
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left in buffers would fail again
+        self._failure = error
+        return True
+
+    def require_none(self) -> None:
+        """Raise what could not be printed."""
+        if self._failure is not None:
+            raise self._failure
 
 
 class RunProgress:

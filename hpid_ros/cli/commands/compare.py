@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from rich.console import Console
@@ -21,6 +20,7 @@ from hpid_ros.cli.options import (
 )
 from hpid_ros.cli.terminal import (
     RunProgress,
+    Unprinted,
     output_console,
     print_notes,
     print_result_places,
@@ -51,10 +51,11 @@ def run(options: argparse.Namespace) -> int:
         require_few(tuple(experiment.controllers))
     output = output_folder(options, experiment.name)
     console = output_console()
+    unprinted = Unprinted()
     with RunProgress(console, experiment, tuple(experiment.controllers)) as progress:
 
         def show(result: Result, reports: Sequence[RunReport]) -> None:
-            with suppress(OSError):  # the result is written all the same; the next line meets it
+            with unprinted:
                 progress.finish()
                 _print(console, result, reports)
 
@@ -65,6 +66,7 @@ def run(options: argparse.Namespace) -> int:
             force=options.force,
             computed=show,
         )
+    unprinted.require_none()
     print_result_places(console, {"result": output, "report": output / REPORT})
     if options.animation:
         _animate(console, output)
@@ -99,10 +101,11 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
     output = output_folder(options, first.name)
     console = output_console()
     labels = [named(label, engine) for engine in engines for label in first.controllers]
+    unprinted = Unprinted()
     with RunProgress(console, first, labels) as progress:
 
         def show(result: Result, reports: Sequence[RunReport]) -> None:
-            with suppress(OSError):  # the result is written all the same; the next line meets it
+            with unprinted:
                 progress.finish()
                 console.print(f"\nin {result.experiment.world.engine}:")
                 _print(console, result, reports)
@@ -115,6 +118,7 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
             force=options.force,
             computed=show,
         )
+    unprinted.require_none()
     for grid in grids:
         console.print(grid)
     reports = {f"report in {engine}": output / engine / REPORT for engine in engines}

@@ -140,7 +140,7 @@ def end_in_time(code: int) -> None:
     _flush()
     faulthandler.dump_traceback_later(_TORN_DOWN_WITHIN)
     libc, timer = ctypes.CDLL(None), ctypes.c_void_p()
-    function = ctypes.cast(libc._exit, ctypes.c_void_p).value
+    function = ctypes.cast(libc["_exit"], ctypes.c_void_p).value
     event = _TimerEvent(code, 0, _SIGEV_THREAD, function)
     seconds, part = divmod(_TORN_DOWN_WITHIN + 0.5, 1.0)
     once = (ctypes.c_long * 4)(0, 0, int(seconds), int(part * 1e9))
