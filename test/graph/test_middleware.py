@@ -1,5 +1,6 @@
 """What rclpy keeps to itself, and qualities of service: newest commands, overrides of a topic."""
 
+import itertools
 import time
 from unittest.mock import MagicMock
 
@@ -88,9 +89,12 @@ def test_a_timer_that_is_reset_again_and_again_leaves_the_others_alone(node):
     executor.shutdown()
 
 
-def test_all_nodes_of_a_process_wait_for_acknowledgements_as_long_as_one_of_them_would():
-    publisher, granted = MagicMock(), []
-    publisher.wait_for_all_acked = lambda within: granted.append(within) or time.sleep(0.01)
+def test_all_nodes_of_a_process_wait_for_acknowledgements_as_long_as_one_of_them_would(
+    monkeypatch,
+):
+    publisher, granted, now = MagicMock(), [], itertools.count(0.0, 0.1)
+    publisher.wait_for_all_acked = granted.append
+    monkeypatch.setattr(middleware.time, "monotonic", lambda: next(now))
     middleware._acknowledged_by.cache_clear()
     for _ in range(2):
         middleware.wait_until_acknowledged(MagicMock(), publisher, "the last command")
