@@ -107,27 +107,31 @@ class GroupOutput:
         )
         self._counter = MatchCounter(self.publisher) if is_guarded else None
         self._count_known = partial(node.count_subscribers, self.publisher.topic_name)
-        self._settled = (0, 0)
+        self._settled: tuple[int, int] | None = (0, 0)
 
     @property
-    def matches(self) -> tuple[int, int]:
+    def matches(self) -> tuple[int, int] | None:
         """How many subscriptions it was ever matched with, and are known beyond its matches now.
 
-        Fast DDS puts one into the graph, then sends to it, and only then counts it as a match.
+        None where they changed meanwhile. Fast DDS puts one into the graph, then sends to it, and
+        only then counts it as a match; each look may wait for it, until one subscription has taken
+        another's place: so the matches are counted last, too.
         """
         if self._counter is None:
             return 0, 0
-        ever, now = self._counter()
-        return ever, self._count_known() - now
+        ever, now = before = self._counter()
+        known = self._count_known()
+        return (ever, known - now) if self._counter() == before else None
 
     @property
     def is_settled(self) -> bool:
         """Whether all subscriptions have been looked at."""
-        return self.matches == self._settled
+        return self._settled is not None and self.matches == self._settled
 
-    def settle(self, matches: tuple[int, int]) -> None:
-        """Note that the subscriptions of these matches have been looked at."""
-        self._settled = matches
+    def settle(self, matches: tuple[int, int] | None) -> None:
+        """Note that the subscriptions of these matches have been looked at, if they still are."""
+        if self.matches == matches:
+            self._settled = matches
 
     def set_joints(self, joints: Sequence[str]) -> None:
         """Send these joints from now on, in this order."""
@@ -237,7 +241,7 @@ class ReceiverWatch:
         self._changed()
         self._settle(matches, are_all_known)
 
-    def _settle(self, matches: tuple[int, int], are_all_known: bool) -> None:
+    def _settle(self, matches: tuple[int, int] | None, are_all_known: bool) -> None:
         """Let the output go on once it is known whose all subscriptions are."""
         if are_all_known:
             self._output.settle(matches)

@@ -12,6 +12,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.control.settings import Timing
 from hpid_ros.nodes import joint_command_merger
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger, MergerParameters
+from hpid_ros.nodes.parts import merger_output
 from hpid_ros.nodes.parts.merger import (
     CommandMerger,
     Merged,
@@ -580,18 +581,62 @@ def test_one_that_cannot_be_used_is_told_and_not_asked_all_the_time(told, line):
     assert not receiver.must_be_asked
 
 
+class Matches:
+    """What a middleware says of one subscription, whose place another takes before some look."""
+
+    def __init__(self):
+        self.ever = 1
+        self.looks_left = math.inf
+
+    def __call__(self):
+        self._look()
+        return self.ever, 1
+
+    def count_known(self, _):
+        self._look()
+        return 1
+
+    def _look(self):
+        self.ever += self.looks_left == 0
+        self.looks_left -= 1
+
+
 @pytest.fixture
-def output():
+def matches(monkeypatch):
+    found = Matches()
+    monkeypatch.setattr(merger_output, "MatchCounter", lambda _: found)
+    return found
+
+
+@pytest.fixture
+def output(matches):
     """An output that has sent efforts to two joints."""
-    found = GroupOutput(MagicMock(), ARRAY, TOPIC, "a test", False, lambda: None)
+    node = MagicMock(count_subscribers=matches.count_known)
+    found = GroupOutput(node, ARRAY, TOPIC, "a test", True, lambda: None)
+    found.settle(found.matches)
     found.set_joints(["b", "a"])
     assert found.send(Merged(1, (1.0, 2.0)))
     found.publisher.publish.reset_mock()
     return found
 
 
-def test_the_last_zeros_are_sent_whoever_has_subscribed_meanwhile(output):
-    output.settle((0, 1))  # there is one that has not been looked at
+@pytest.mark.parametrize("looks", range(3))
+def test_nothing_is_sent_to_one_that_took_the_place_of_another_during_the_looks(
+    output, matches, looks
+):
+    matches.looks_left = looks
+    assert not output.send(Merged(2, (3.0, 4.0)))
+    output.settle(None)
+    assert not output.send(Merged(2, (3.0, 4.0)))
+    output.settle((1, 0))  # as it was before
+    assert not output.send(Merged(2, (3.0, 4.0)))
+    output.settle(output.matches)
+    assert output.send(Merged(2, (3.0, 4.0)))
+    assert output.publisher.publish.call_count == 1
+
+
+def test_the_last_zeros_are_sent_whoever_has_subscribed_meanwhile(output, matches):
+    matches.ever += 1  # there is one that has not been looked at
     assert not output.send(Merged(2, (3.0, 4.0)))
     assert not output.zero(is_last=False)
     assert not output.publisher.publish.called
