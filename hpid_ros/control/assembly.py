@@ -86,7 +86,7 @@ def feedforward_gains(settings: LoopSettings) -> FeedforwardGains:
 
 
 def make_velocity_source(settings: VelocitySettings) -> VelocitySource:
-    """Return the velocity source, without a past; for an observer what does without inertia."""
+    """Return the velocity source, without a past; for an observer the filtered difference."""
     if settings.source == "homogeneous_differentiator":
         return HomogeneousDifferentiator(settings.acceleration_bound)
     if settings.source in ("filtered", "observer"):
@@ -100,7 +100,7 @@ def make_unwrapper(settings: EncoderSettings) -> Unwrapper | None:
 
 
 def turn_of_references(settings: LoopSettings) -> float:
-    """Return by what new references may be moved to be the nearest, in [rad]; 0 by nothing.
+    """Return the turn by whose multiples a new reference may be shifted, in [rad]; 0: by none.
 
     References a turn of the encoder apart are the same, unless parameters say otherwise.
     """
@@ -160,7 +160,7 @@ def soft_stop_gains(settings: LoopSettings) -> tuple[float, float]:
     """Return the gains of the soft stops in [1/s] and [N m s/rad].
 
     Three equal poles at -w mean p = 3 w^2 m and d = 3 w m: then 0.75 p / d is d / (4 m), where a
-    stop is just overdamped. A known inertia says it itself, and keeps the braking within what
+    stop is critically damped. A known inertia says it itself, and keeps the braking within what
     sampling allows.
     """
     given, inertia = settings.motion.soft_stop, settings.inertia

@@ -159,7 +159,7 @@ class HomogeneousNorm(Protocol):
         """Return the norm of (error, error rate)."""
 
 
-_LARGEST_MULTIPLIER = 1e100  # its cube times a gain is a number, so that it times no error is 0
+_LARGEST_MULTIPLIER = 1e100  # its cube times a gain is finite, so that it times no error is 0
 
 
 class HomogeneousPid(Pid):

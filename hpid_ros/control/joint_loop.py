@@ -54,14 +54,14 @@ class LoopCounts:
 
     samples: int = 0  # states that were answered with a new effort
     repeats: int = 0  # states with the stamp of the one before
-    resets: int = 0  # states older than the one before: the clock went back
+    resets: int = 0  # states older than the one before: a reset, of a wall clock a takeover
     gaps: int = 0  # states passed over, later than state_timeout after the one before
     silences: int = 0  # times in which no state came for longer than state_timeout
     takeovers: int = 0
     jumps: int = 0  # states rejected because no joint can have moved that far
     missed: int = 0  # states that must have been lost, by the stamps and control_period
     saturated: int = 0  # samples whose effort was limited
-    rejected: int = 0  # states that no law answered: faults, and jumps
+    rejected: int = 0  # states that no law answered: faults, jumps, the first after a gap
 
 
 _NO_MODEL = ModelTerm(1.0, 0.0)
@@ -529,7 +529,11 @@ class JointLoop:
                 self._unwrapper.interrupt()
 
     def _has_come_before(self, stamp_ns: int) -> bool:
-        """Tell whether a state with an odd stamp is not the first one."""
+        """Tell whether a second state confirms an odd stamp.
+
+        Both lie before the last usable one, or beyond it by more than ``state_timeout``, or it
+        follows the first within that.
+        """
         if self._refused_ns is None or stamp_ns < self._refused_ns:
             return False
         assert self.stamp_ns is not None

@@ -104,7 +104,7 @@ class MotionLimits:
                 effort *= up / width
         if down < width:
             if down <= 0.0:
-                self.braked += 1
+                self.braked += up > 0.0  # a sample counts once
                 effort = max(effort, -damping * down)
             elif effort < 0.0:
                 effort *= down / width

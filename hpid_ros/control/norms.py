@@ -112,7 +112,7 @@ class CanonicalNorm:
     _SLOPE_MARGIN = 1e-6
     _TOLERANCE = 1e-15
     _ITERATIONS_AT_MOST = 60
-    _SMALLEST = -400.0  # of ln n: exp(1.5 * 400) is still a number
+    _SMALLEST = -400.0  # of ln n: exp(1.5 * 400) is still finite
 
     def __init__(self, degree: float, shape: Sequence[Sequence[float]]) -> None:
         require_degree(degree)
@@ -161,10 +161,10 @@ class CanonicalNorm:
             math.log(abs(error)) / r if error else -math.inf,
             math.log(abs(error_rate)) if error_rate else -math.inf,
         )
-        if scale < self._SMALLEST:  # the reciprocal has no number; in two steps it needs none
+        if scale < self._SMALLEST:  # the reciprocal overflows; in two steps it is not needed
             growth = math.exp(-r * 0.5 * scale)
             y1, y2 = error * growth * growth, 0.0
-            if error_rate:  # else the growth of what is 0 need not be a number
+            if error_rate:  # else the growth of what is 0 may overflow
                 growth = math.exp(-0.5 * scale)
                 y2 = error_rate * growth * growth
         else:

@@ -38,7 +38,8 @@ class DampingStop:
         """Take one state and return the effort that answers it in [N m]; see ``JointLoop.step``.
 
         A state that cannot be used, that is older than the last one, or whose position the joint
-        cannot have reached, gets none; a repeat what the last one got from the stop.
+        cannot have reached, gets none, as a repeat of the loop's last state does; a repeat of one
+        that the stop has answered gets the same again.
         """
         if stamp_ns == self.stamp_ns and self._begin_ns is not None:
             return self.effort
@@ -90,7 +91,7 @@ class RelayRequest:
     amplitude: float  # [N m] of the effort, a
     hysteresis: float  # [rad] of s
     deviation: float  # [rad] largest error; beyond it the relay gives back
-    cycles: float  # after so many whole cycles at full weight it gives back
+    cycles: float  # after so many switches upwards at full weight it gives back
     duration: float  # [s] at the latest after so long, both ramps included
 
     def __post_init__(self) -> None:

@@ -192,8 +192,8 @@ class IntegralLimits(Record):
     )
     tracking_time_constant: float = _up_to(
         1000.0,
-        "Of back_calculation [s]; 0 chooses sqrt(gains.d / gains.i), or gains.p / gains.i "
-        "where gains.d is 0",
+        "Time constant of back_calculation [s]; 0 chooses sqrt(gains.d / gains.i), or gains.p / "
+        "gains.i where gains.d is 0",
     )
 
     def __post_init__(self) -> None:
@@ -214,7 +214,7 @@ class VelocitySettings(Record):
     )
     filter_time_constant: float = _up_to(
         10.0,
-        "Of the first-order velocity filter",
+        "Time constant of the first-order velocity filter",
         "s",
         default=0.005,
         key="velocity_filter_time_constant",
@@ -244,7 +244,7 @@ class VelocitySettings(Record):
 class ObserverSettings(Record, prefix="observer."):
     """The observer, where the velocity comes from one."""
 
-    bandwidth: float = _up_to(1e4, "Of the observer [1/s]; 0 chooses 4 gains.d / inertia")
+    bandwidth: float = _up_to(1e4, "Observer bandwidth [1/s]; 0 chooses 4 gains.d / inertia")
     degree: float = quantity(
         "Homogeneity degree of the observer: 0 is linear, negative is tighter at small "
         "innovations, positive calmer",
@@ -326,8 +326,8 @@ class EncoderSettings(Record):
     step_max: float = _up_to(
         LARGEST_MOTION,
         "A position that differs from the last one by more than this [rad] plus twice "
-        "velocity_max times the time between, is a fault; 0 chooses 0.1, or pi where there is"
-        " no velocity_max; 1e6 is none",
+        "velocity_max times the time between and one control_period, is a fault; 0 chooses 0.1, "
+        "or pi where there is no velocity_max; 1e6 is none",
         key="position_step_max",
     )
 

@@ -14,7 +14,6 @@ from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import DampingStop
 
 _CHECKS_PER_TIMEOUT = 4.0
-"""Checks in one timeout."""
 _SHORTEST_PERIOD = 1e-3  # [s] between two looks
 LATE_NS = 10_000_000
 """By no more than this a state may be later than those before a silence, in [ns]."""

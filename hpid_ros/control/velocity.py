@@ -268,7 +268,7 @@ class Observer:
 
     Source: gains under a dilation of the innovation, A. Polyakov, HCS Toolbox for MATLAB,
     "Homogeneous Observer"; why a prefilter, X. Ping, K. Zimenko, A. Polyakov, D. Efimov,
-    "Filtering Homogeneous Observer for MIMO System", arXiv:2401.03135 (2024), read in extracts.
+    "Filtering Homogeneous Observer for MIMO System", arXiv:2401.03135 (2024).
     """
 
     __slots__ = (
@@ -347,7 +347,7 @@ class Observer:
     def _gains(self, innovation: float, dt: float) -> tuple[float, float, float]:
         """Take a sample into the covariance, and return what it makes of the gains.
 
-        Both are in units of the bandwidth: of position, velocity / w and disturbance / w^2.
+        Both are in units of the bandwidth: of position, velocity / omega, disturbance / omega^2.
         """
         t = self.design.bandwidth * dt
         fading = t * self._multiplier(innovation, t) if self.design.degree else t

@@ -482,7 +482,7 @@ def _sections(parameters: str) -> dict[str, Any]:
     """Return the sections, those of controllers by reference to parameters of this name."""
     prefix = parameters.removesuffix("parameters")
     return {
-        "name": {"type": "string", "minLength": 1, "description": "Of the experiment"},
+        "name": {"type": "string", "minLength": 1, "description": "Name of the experiment"},
         "duration": {
             "type": "number",
             "exclusiveMinimum": 0,

@@ -57,8 +57,8 @@ _SHORTEST = 1e-3  # [s]
 class FilmSettings(Record):
     """What an animation shows, and how."""
 
-    width: int = quantity("Of the picture", "pixels", default=720, least=160, most=3840)
-    height: int = quantity("Of the picture", "pixels", default=450, least=160, most=2160)
+    width: int = quantity("Width of the picture", "pixels", default=720, least=160, most=3840)
+    height: int = quantity("Height of the picture", "pixels", default=450, least=160, most=2160)
     # Formats count in hundredths of a second.
     fps: float = quantity("Pictures in a second", "1/s", default=12.5, least=1.0, most=50.0)
     start: float = quantity("First instant, since the first state", "s", default=0.0)

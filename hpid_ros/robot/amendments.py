@@ -75,7 +75,7 @@ class JointAmendment(Record):
     """What is known better of one joint; what is left out stays as the URDF has it."""
 
     rotor_inertia: float | None = quantity(
-        "Of the motor's rotor about its own axis", "kg m^2", default=None, least=0.0
+        "Inertia of the motor's rotor about its own axis", "kg m^2", default=None, least=0.0
     )
     gear_ratio: float | None = quantity(
         "Turns of the rotor for one turn of the joint, not 0", default=None
@@ -307,7 +307,7 @@ class Wheels(Record):
     left_wheel: str = quantity("Joint of the left wheel")
     right_wheel: str = quantity("Joint of the right wheel")
     wheel_radius: float | None = quantity(
-        "Of both wheels; as the URDF has it if left out", "m", default=None, above=0.0
+        "Radius of both wheels; as the URDF has it if left out", "m", default=None, above=0.0
     )
     wheel_separation: float | None = quantity(
         "Between their contacts; as the URDF has it if left out", "m", default=None, above=0.0

@@ -208,6 +208,10 @@ MODELLED = {
         ("joint_controller", {"joint": "a", "command_interface": "can"}, "command_interface"),
         ("joint_controller", {"joint": "a", "compensation": "gravity"}, "description is empty"),
         ("joint_controller", {"joint": "a", "cpu_affinity": "[4096]"}, "4096"),
+        *(
+            ("joint_controller", {"joint": "a", f"feedforward.{name}": -1.0}, f"takes the {word}")
+            for name, word in (("viscous_friction", "damping"), ("coulomb_friction", "friction"))
+        ),
         (
             "joint_controller",
             {"joint": "a", "realtime_priority": 100},

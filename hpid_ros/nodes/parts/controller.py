@@ -63,6 +63,15 @@ def _require_limits(settings: LoopSettings) -> None:
             )
 
 
+def _refuse_undescribed(settings: LoopSettings) -> None:
+    for name, described in (("viscous_friction", "damping"), ("coulomb_friction", "friction")):
+        if getattr(settings.feedforward, name) < 0.0:
+            raise SettingError(
+                f"feedforward.{name} = -1 takes the {described} in robot_description, which is "
+                f"not given"
+            )
+
+
 class ControllerSettings:
     """Makes of a controller's parameters the settings of its loop, within the robot's limits."""
 
@@ -81,7 +90,10 @@ class ControllerSettings:
         values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
         values |= {each.name: each.value for each in changes if each.name in LOOP_PARAMETERS}
         if self._last is None or self._last[0] != values:  # checked first, applied afterwards
-            settings = self._limits.within(LoopSettings.from_parameters(values))
+            settings = LoopSettings.from_parameters(values)
+            if not self.robot:
+                _refuse_undescribed(settings)
+            settings = self._limits.within(settings)
             if self.robot:
                 _require_limits(settings)
             if settings.model.is_on:

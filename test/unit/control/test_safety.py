@@ -536,6 +536,12 @@ def opened(position=0.0, **changes):
     return limits
 
 
+def test_a_sample_that_is_braked_both_ways_counts_once():
+    limits = opened(position_min=0.0, position_max=0.0)
+    limits.limit(3.0, 0.0, 0.0, 0.0, 0.01)
+    assert limits.braked == 1
+
+
 def move(command, seconds, position=0.0, velocity=0.0, load=0.0, begin_ns=0):
     """Give a joint of 1 kg m^2 the efforts of a command; return positions and velocities."""
     track = []
