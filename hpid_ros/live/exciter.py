@@ -248,7 +248,7 @@ class Exciter(MovingNode):
         self._button = None if within is None else DeadMan(float(within))
         watched_within = order.get("watched_within")
         self._parent = None if watched_within is None else DeadMan(float(watched_within))
-        self._has_said_ready = self._has_begun = self._is_untold = False
+        self._has_said_ready = self._has_begun = False
         references = {
             each.bounds.joint: f"{each.bounds.controller}/reference" for each in plan.joints
         }
@@ -309,10 +309,8 @@ class Exciter(MovingNode):
             return
         if outcome.trajectory is not None:
             self._topics.publish(outcome.trajectory)
-            self._is_untold = False
         if outcome.result is not None and not self._resting:
             is_done = outcome.result.code == ResultCode.SUCCESSFUL
-            self._is_untold = outcome.trajectory is None and self._follower.holds_later
             self._rest("" if is_done else outcome.result.text)
 
     def _look_at_limits(self) -> None:
@@ -337,7 +335,7 @@ class Exciter(MovingNode):
     def look(self) -> None:
         """Begin when all is ready, go on while the button is held, end when joints rest."""
         if self._resting is not None:
-            patience = _STATES_WITHIN if self._is_untold else _RESTS_WITHIN
+            patience = _STATES_WITHIN if self._follower.holds_later else _RESTS_WITHIN
             if self._is_at_rest() or time.monotonic() - self._ended > patience:
                 self._finish(self._resting)
             return
@@ -356,7 +354,7 @@ class Exciter(MovingNode):
 
     def _is_at_rest(self) -> bool:
         """Return whether all joints rest; those that nobody could tell to stop may not."""
-        if self._is_untold or time.monotonic() - self._ended < 2.0 * _LOOK_PERIOD:
+        if self._follower.holds_later or time.monotonic() - self._ended < 2.0 * _LOOK_PERIOD:
             return False
         joints = range(len(self._plan.joints))
         return all(self._follower.speed(joint) < _AT_REST for joint in joints)

@@ -248,7 +248,8 @@ class GoalFollower:
         """End the active goal because its follower ends, and stop.
 
         Joints whose states have not come back are sent to where they were seen last: else their
-        controllers, once they have states, would go on with the trajectory that was aborted.
+        controllers, once they have states, would go on with the trajectory that was aborted. One
+        whose controller has published a reference since then is held at that.
         """
         if self.now_ns is None:
             return self._abort(reason)
@@ -256,7 +257,7 @@ class GoalFollower:
         self._held_late.clear()
         if not seen:
             return self._abort(reason)
-        return Outcome(None, self._stop({at: [Knot(0, self._settle(at), 0.0)] for at in seen}))
+        return Outcome(None, self._stop({at: [Knot(0, self._newest(at), 0.0)] for at in seen}))
 
     def yield_joints(self, joints: Collection[str]) -> Outcome:
         """End the active goal because another node has sent its joints a trajectory.
@@ -516,6 +517,15 @@ class GoalFollower:
         if joint.is_endless and joint.is_known:  # in the turn in which the reference is
             there = joint.peek(self._now())[0]
             position = there - joint.off(there, position)
+        joint.rest(position)
+        return position
+
+    def _newest(self, at: int) -> float:
+        """Let a joint's reference rest at its controller's newest, or where the joint was seen."""
+        joint = self._joints[at]
+        if joint.reference_ns is None or joint.reference_ns <= (joint.stamp_ns or 0):
+            return self._settle(at)
+        position = joint.peek(joint.reference_ns)[0]
         joint.rest(position)
         return position
 

@@ -319,9 +319,11 @@ class CommandMerger:
     All times are of one steady clock, in [ns]. The caller it sends what it returns at once.
     """
 
-    def __init__(self, settings: MergerSettings, *, from_zero: bool = False) -> None:
+    def __init__(self, settings: MergerSettings, patience: float = math.inf) -> None:
         self.settings = settings
-        self._from_zero = from_zero  # whether the joints have had no effort before
+        # [s] after having waited for others as long as this, all joints are faded in from zero
+        self._patience_ns = patience * NANOSECONDS
+        self._waiting_since_ns: int | None = None
         self.counts = {name: JointCounts() for name in settings.names}
         self.foreign = 0
         self.shortest_timeout = min(joint.timeout for joint in settings.joints)  # [s]
@@ -429,6 +431,8 @@ class CommandMerger:
     def _return(self, index: int, counts: JointCounts, now_ns: int) -> None:
         self._silent.remove(index)
         if not self.has_begun:
+            if self._waiting_since_ns is None:
+                self._waiting_since_ns = now_ns
             return  # nothing was sent in its place
         counts.returns += 1
         self.returns += 1
@@ -440,7 +444,10 @@ class CommandMerger:
             self.has_begun = not self.missing
             if not self.has_begun:
                 self.rounds.forget()
-            elif self._from_zero:  # one may have kept the others waiting, which have wound up
+            elif (
+                self._waiting_since_ns is not None
+                and now_ns - self._waiting_since_ns >= self._patience_ns
+            ):  # one has kept the others waiting, which have wound up
                 self.supersede(0.0, now_ns)
         return self.has_begun
 

@@ -97,6 +97,7 @@ class GroupOutput:
         self._count = 0
         self._last_ns = 0
         self.has_sent = False
+        self.is_first = True  # whether a receiver is yet to get its first message
         self.sent = self.withheld = 0  # messages
         self.publisher = node.create_publisher(
             self._interface.message(),
@@ -153,7 +154,7 @@ class GroupOutput:
             return False
         self.publisher.publish(raw)
         self._last_ns = merged.stamp_ns
-        self.has_sent = True
+        self.has_sent, self.is_first = True, False
         self.sent += 1
         return True
 
@@ -169,7 +170,7 @@ class GroupOutput:
 
     def forget(self) -> None:
         """Start again: there is nothing that a zero would have to end."""
-        self.has_sent = False
+        self.has_sent, self.is_first = False, True
 
 
 _LOOK_EVERY = 0.05  # [s]
@@ -234,7 +235,7 @@ class ReceiverWatch:
             self._output.forget()
             self._served = frozenset()
         if self._receiver.note_endpoints(endpoints):
-            self._is_asking = False
+            self._is_asking, self._output.is_first = False, True
             self._requests += 1  # who was asked before is not the one that is there now
         if self._receiver.must_be_asked:
             self._ask()
@@ -365,8 +366,12 @@ class MergedStream:
         self._timer_ns = NANOSECONDS
         self._is_armed = False
 
-    def begin(self, settings: MergerSettings) -> CommandMerger:
-        merger = CommandMerger(settings, from_zero=not self.output.has_sent)
+    def begin(self, settings: MergerSettings, *, is_in_vain: bool) -> CommandMerger:
+        """Merge from now on; controllers may have commanded in vain, and wound up."""
+        patience = math.inf
+        if self.output.is_first:
+            patience = 0.0 if is_in_vain else min(joint.timeout for joint in settings.joints)
+        merger = CommandMerger(settings, patience)
         with self._lock:
             self.output.set_joints(settings.names)
             self.merger = merger

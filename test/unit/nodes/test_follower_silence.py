@@ -66,6 +66,20 @@ def late(group):
     return group
 
 
+def test_a_follower_that_alone_lost_the_states_moves_nothing_as_it_ends():
+    group = started()
+    group.run(0.3)
+    group.follower.note_timeout(0.7)
+    group.seen = lambda parts: []
+    group.run(2.0)
+    there = [*group.position]
+    assert there == pytest.approx([1.0, -0.5], abs=0.01)
+    group.note(group.follower.leave("the node ends"))
+    for _ in range(100):
+        group.run(0.01)
+        assert group.position == pytest.approx(there, abs=1e-3)
+
+
 def test_a_follower_that_ends_before_the_states_are_back_leaves_no_motion_behind():
     group = started()
     group.run(0.3)
