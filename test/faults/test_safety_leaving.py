@@ -234,3 +234,14 @@ def test_a_node_without_efforts_ends_as_well_where_it_does_not_return(place):
     (line,) = ended.stderr.splitlines()
     assert line.startswith("a callback has not returned for 0.6 s at ")
     assert line.endswith(": the process ends without it")
+
+
+@pytest.mark.usefixtures("harness")  # for its domain
+def test_a_node_whose_errors_nobody_reads_ends_as_well_where_it_does_not_return():
+    full = "sys.stderr.write(100_000 * 'x')"  # more than a pipe holds
+    program = NEVER_ENDS.format(working=full, closing="pass")
+    with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE) as process:
+        try:
+            assert process.wait(60) == 1
+        finally:
+            process.kill()

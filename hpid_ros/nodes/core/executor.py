@@ -271,6 +271,7 @@ _CLOSED_WITHIN = 60.0  # [s] for each other thing, as a recorder's close; then i
 _CHECKED_AGAIN = 0.1  # [s] after a check that raised something
 _STOOD_STILL = 1.0  # [s] by which this thread is late, if the process was stopped
 _CUT_WITHIN = 0.5  # [s] for all subscribers to acknowledge, before the process is suspended
+_SAID_WITHIN = 0.5  # [s] for a last line to be written
 
 _ENDS_WELL = frozenset((signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
 _ALWAYS = frozenset((signal.SIGINT, signal.SIGTERM))  # also where a shell had them ignored
@@ -411,10 +412,13 @@ class Supervisor:
     def _end_without_executor(self, done: str, within: float) -> NoReturn:
         frame = sys._current_frames().get(threading.main_thread().ident or 0)
         where = f" at {frame.f_code.co_filename}:{frame.f_lineno}" if frame is not None else ""
-        _say(
+        line = (
             f"a callback has not returned for {within:g} s{where}: "
             f"{done}the process ends without it"
         )
+        saying = threading.Thread(target=_say, args=(line,), daemon=True)
+        saying.start()
+        saying.join(_SAID_WITHIN)  # whoever should read it may stand still
         os._exit(1 if self.ends_by is None else 128 + self.ends_by)
 
     def _suspend(self) -> None:

@@ -137,15 +137,16 @@ def end_in_time(code: int) -> None:
     wait there for a callback that it keeps from the lock (docs/faults.md), while rclpy holds
     Python's: nothing in Python could end the process.
     """
-    _flush()
-    faulthandler.dump_traceback_later(_TORN_DOWN_WITHIN)
     libc, timer = ctypes.CDLL(None), ctypes.c_void_p()
     function = ctypes.cast(libc["_exit"], ctypes.c_void_p).value
     event = _TimerEvent(code, 0, _SIGEV_THREAD, function)
     seconds, part = divmod(_TORN_DOWN_WITHIN + 0.5, 1.0)
     once = (ctypes.c_long * 4)(0, 0, int(seconds), int(part * 1e9))
-    if not libc.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)):
+    is_refused = libc.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer))
+    faulthandler.dump_traceback_later(_TORN_DOWN_WITHIN, exit=bool(is_refused))
+    if not is_refused:
         libc.timer_settime(timer, 0, ctypes.byref(once), None)
+    _flush()  # which may wait for somebody to read
 
 
 def end(code: int) -> NoReturn:
