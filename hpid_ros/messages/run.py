@@ -553,6 +553,11 @@ def _recording(
     if choice.may_be_measured and not recording.has_efforts():
         recording = collected(choice.measured())
     _require_messages(where, recording)
+    if choice.others:
+        recording.notes.append(
+            f"{', '.join(choice.others)}: not read, as another robot's, whose states are beside "
+            "them; --commands TOPIC takes them"
+        )
     if choice.in_doubt and not (selection.commands or selection.command_topics):
         recording.notes.append(
             f"{', '.join(choice.in_doubt)}: efforts, positions or velocities, their types do not "

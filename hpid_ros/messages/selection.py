@@ -224,6 +224,7 @@ class TopicChoice:
     is_measured: bool = False  # whether the efforts are those that the states measured
     may_be_measured: bool = False  # whether those are to be taken if nothing else carries efforts
     in_doubt: tuple[str, ...] = ()  # topics that may carry efforts, or something else
+    others: tuple[str, ...] = ()  # of commands, taken for another robot's, where there are no more
     relays: tuple[str, ...] = ()  # where controllers are asked for relays
 
     def measured(self) -> TopicChoice:
@@ -278,6 +279,7 @@ class _Chooser:
         asked = self.selection.commands
         commands, found = self.commands(states, bool(explicit))
         topics = {**found, **explicit}
+        are_missed = asked is None and not commands and not topics
         choice = TopicChoice(
             states,
             commands=commands,
@@ -287,11 +289,14 @@ class _Chooser:
             is_measured=commands == states,
             may_be_measured=asked is None and not explicit,
             in_doubt=self.in_doubt({*commands, *(each.topic for each in topics.values())}),
+            others=tuple(
+                matching("joint_commands", self.of_type(JOINT_STATE)) if are_missed else ()
+            ),
             relays=tuple(
                 name for name in self.below(FLOAT64_MULTI_ARRAY) if last_part(name) == "relay"
             ),
         )
-        if choice.may_be_measured and not commands and not topics:
+        if are_missed:
             return choice.measured()
         return choice
 

@@ -276,6 +276,19 @@ def test_commands_are_found_by_name_then_type_and_are_never_another_robots(
     choice = choose_topics("bag", types, BagSelection(states=states))
     assert choice.is_measured == (not expected)
     assert choice.commands == ((expected,) if expected else choice.states)
+    named = () if expected else tuple(each for each in types if each.endswith("joint_commands"))
+    assert choice.others == named
+
+
+def test_commands_that_are_left_to_another_robot_are_named(tmp_path):
+    types = {"/joint_states": JOINT_STATE, "/arm/joint_states": JOINT_STATE}
+    types["/arm/joint_commands"] = JOINT_STATE
+    log = states() + states(topic="/arm/joint_states") + commands(topic="/arm/joint_commands")
+    path = write(tmp_path / "bag", types, in_order(log))
+    note = read(path, states="/joint_states").quality.notes[0]
+    assert note.startswith("/arm/joint_commands: not read, as another robot's")
+    notes = read(path, states="/joint_states", commands="/arm/joint_commands").quality.notes
+    assert not any("another robot" in each for each in notes)
 
 
 def test_a_simulation_that_was_reset_is_not_laid_over_itself(tmp_path):
