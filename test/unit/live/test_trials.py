@@ -100,9 +100,10 @@ class Bench:
 
 
 @pytest.fixture(autouse=True)
-def no_process(monkeypatch):
-    """Have what a bench puts in the place of motions removed with the test."""
+def no_process(monkeypatch, tmp_path):
+    """Have what a bench puts in the place of motions removed with the test, and its folders."""
     monkeypatch.setattr(module, "HeldMotion", None)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 
 
 @pytest.fixture
