@@ -90,7 +90,7 @@ class MergerParameters(Record):
     command_timeout: float = _timeout("A joint is silent after so long")
     fade_in_time: float = quantity(
         "A joint that comes back is faded in from its fallback for so long [s], all joints from "
-        "zero for a new receiver if they had to wait; 0 jumps",
+        "zero for a receiver that is new to it; 0 jumps",
         default=0.1,
         least=0.0,
         most=_LONGEST_FADE_IN,
@@ -382,8 +382,7 @@ class JointCommandMerger(ManagedNode):
             self._refusal = str(error)
             return
         self._health.restart()
-        is_heard = self._is_composed or self._commands is not None
-        merger = self._stream.begin(settings, is_in_vain=is_heard)
+        merger = self._stream.begin(settings)
         if self._commanders is None:
             patience = max(joint.timeout for joint in settings.joints)
             self._commanders = Commanders(self, order, merger.counts, patience)

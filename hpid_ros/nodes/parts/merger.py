@@ -319,11 +319,9 @@ class CommandMerger:
     All times are of one steady clock, in [ns]. The caller it sends what it returns at once.
     """
 
-    def __init__(self, settings: MergerSettings, patience: float = math.inf) -> None:
+    def __init__(self, settings: MergerSettings, *, from_zero: bool = False) -> None:
         self.settings = settings
-        # [s] after having waited for others as long as this, all joints are faded in from zero
-        self._patience_ns = patience * NANOSECONDS
-        self._waiting_since_ns: int | None = None
+        self._from_zero = from_zero  # whether the joints have had no effort before
         self.counts = {name: JointCounts() for name in settings.names}
         self.foreign = 0
         self.shortest_timeout = min(joint.timeout for joint in settings.joints)  # [s]
@@ -431,8 +429,6 @@ class CommandMerger:
     def _return(self, index: int, counts: JointCounts, now_ns: int) -> None:
         self._silent.remove(index)
         if not self.has_begun:
-            if self._waiting_since_ns is None:
-                self._waiting_since_ns = now_ns
             return  # nothing was sent in its place
         counts.returns += 1
         self.returns += 1
@@ -444,10 +440,7 @@ class CommandMerger:
             self.has_begun = not self.missing
             if not self.has_begun:
                 self.rounds.forget()
-            elif (
-                self._waiting_since_ns is not None
-                and now_ns - self._waiting_since_ns >= self._patience_ns
-            ):  # one has kept the others waiting, which have wound up
+            elif self._from_zero:  # who had to wait may have wound up
                 self.supersede(0.0, now_ns)
         return self.has_begun
 

@@ -366,12 +366,8 @@ class MergedStream:
         self._timer_ns = NANOSECONDS
         self._is_armed = False
 
-    def begin(self, settings: MergerSettings, *, is_in_vain: bool) -> CommandMerger:
-        """Merge from now on; controllers may have commanded in vain, and wound up."""
-        patience = math.inf
-        if self.output.is_first:
-            patience = 0.0 if is_in_vain else min(joint.timeout for joint in settings.joints)
-        merger = CommandMerger(settings, patience)
+    def begin(self, settings: MergerSettings) -> CommandMerger:
+        merger = CommandMerger(settings, from_zero=self.output.is_first)
         with self._lock:
             self.output.set_joints(settings.names)
             self.merger = merger
