@@ -168,7 +168,8 @@ def load_robot(name: str) -> GivenRobot:
     """Return the robot of a URDF, of an experiment file or of what ``hpid identify`` wrote."""
     file = find_resource(name)
     if file.suffix not in (".yaml", ".yml"):
-        return GivenRobot(str(file), RobotDescription.load(file))
+        plain = RobotDescription.load(file)
+        return GivenRobot(str(file), plain, initial_positions=plain.start({}))
     identified = identified_robot(file)
     if identified is not None:
         return identified
@@ -193,7 +194,8 @@ def identified_robot(file: Path) -> GivenRobot | None:
         known = robot.load(
             lambda name: RobotDescription.load(find_resource(name, document.folders))
         )
-    return GivenRobot(known.xml, known, robot.fixed_base, robot.initial_positions)
+    start = known.start(robot.initial_positions)
+    return GivenRobot(known.xml, known, robot.fixed_base, start)
 
 
 def write_output(path: Path, content: str | bytes) -> None:

@@ -232,7 +232,8 @@ def planned_reference(
     own = from_mapping(RobotSection, root.take("robot"), "robot", TrajectoryError)
     description = own.load(load_robot)
     drive = None if own.base is None else own.base.drive(description)
-    robot = TaskRobot(description, drive, own.initial_positions, opening)
+    others = description.start(own.initial_positions)
+    robot = TaskRobot(description, drive, others, opening)
     # Pinocchio takes a moment to import, and other references do without.
     from hpid_ros.robot.kinematics import Kinematics
 
@@ -242,7 +243,6 @@ def planned_reference(
     section.finish()
     if not task.bricks:
         raise TrajectoryError(f"{section.place('bricks')} must name at least one brick")
-    others = own.initial_positions
     arm = Kinematics(description, hand, task.arm or None, others)
     for joint in task.folded:
         if joint not in arm.joints:

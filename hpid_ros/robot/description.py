@@ -288,6 +288,11 @@ class RobotDescription:
         """Names of the joints that slide: their units are m and N."""
         return frozenset(name for name, joint in self.joints.items() if joint.is_slide)
 
+    def start(self, given: Mapping[str, float]) -> dict[str, float]:
+        """Return positions that were given, and the nearest of joints that cannot be at 0."""
+        nearest = {name: min(max(0.0, j.lower), j.upper) for name, j in self.joints.items()}
+        return {name: at for name, at in nearest.items() if at} | dict(given)
+
     @property
     def last_link(self) -> str:
         """Name of the last link in the file: of an arm, as a rule, its tip."""

@@ -429,10 +429,8 @@ class WorldSettings:
                     f"initial_positions: {name} = {position} is not within its limits"
                     f" [{joint.lower}, {joint.upper}]"
                 )
-        return {
-            name: float(self.initial_positions.get(name, min(max(0.0, joint.lower), joint.upper)))
-            for name, joint in description.joints.items()
-        }
+        start = description.start(self.initial_positions)
+        return {name: float(start.get(name, 0.0)) for name in description.joints}
 
     def _require_along(self, name: str) -> None:
         """Refuse a tuple that has not one entry for each driven joint; empty is none at all."""

@@ -136,6 +136,8 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
         raise ExperimentError(f"robot.{error}") from None
     for link in world.links:
         known.link(link)
+    # Whatever is planned and designed for the start begins where the simulation does.
+    world = replace(world, initial_positions=known.start(robot.initial_positions))
     return WorldFile(world, control, reference)
 
 

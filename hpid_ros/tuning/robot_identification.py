@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -96,6 +96,7 @@ _REPEATING = 0.5  # of the measured efforts: where more change, they are measure
 _REGULAR = 0.8  # of the holds: those of a sensor with few steps depend on the motion
 _LEAST_HOLDS = 20
 _MILLISECONDS = 1e3
+_DENSE = 0.2  # of the driven joints' states, for a joint whose motion is followed
 
 
 class MovedInertia(NamedTuple):
@@ -134,8 +135,11 @@ def identify_robot(
     driven = driven or list(recording.joint_names)
     looked_at = driven if asked is None else asked
     kept = {each.joint for each in recording.joints if _has_moved(each)}.union(looked_at)
+    sparse: set[str] = set()
     if robot is not None:
-        kept, robot = kept.union(driven), as_recorded(robot, recording.joints)
+        sparse = _sparse(recording, driven) - {*looked_at}
+        kept = kept.union(driven) - sparse
+        robot = as_recorded(robot, recording.joints, sparse)
     recording = recording.narrowed(kept)
     records = _records(recording)
     missing = (
@@ -143,6 +147,7 @@ def identify_robot(
         *_losses(recording),
         *_holds(records, recording),
         *_rare(records),
+        *(f"{name} moved, but has few states: taken for still" for name in sorted(sparse)),
     )
     wheels = _wheels(records, robot, base, asked)
     if robot is None:
@@ -177,12 +182,24 @@ def identify_robot(
     return RobotIdentification(found, _sources(recording), slides, moved, missing)
 
 
-def as_recorded(robot: GivenRobot, recorded: Sequence[JointSeries]) -> GivenRobot:
-    """Return a robot whose joints that stood still are where they were recorded."""
+def _sparse(recording: RunSeries, driven: Collection[str]) -> set[str]:
+    """Return joints that nobody drives with too few states beside those that somebody does."""
+    most = max(len(each.position) for each in recording.joints if each.joint in driven)
+    return {
+        each.joint
+        for each in recording.joints
+        if each.joint not in driven and _has_moved(each) and len(each.position) < _DENSE * most
+    }
+
+
+def as_recorded(
+    robot: GivenRobot, recorded: Sequence[JointSeries], still: Collection[str] = ()
+) -> GivenRobot:
+    """Return a robot whose joints that stood still, or are taken for it, are where they were."""
     places = dict(robot.initial_positions)
     for each in recorded:
         joint = robot.description.joints.get(each.joint)
-        if joint is not None and not _has_moved(each):
+        if joint is not None and (each.joint in still or not _has_moved(each)):
             places[each.joint] = float(np.clip(np.mean(each.position), joint.lower, joint.upper))
     return replace(robot, initial_positions=places)
 

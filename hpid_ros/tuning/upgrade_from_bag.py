@@ -270,12 +270,15 @@ def _read(
     ).with_slides(robot.description.slides)
     loops: list[LoopSettings] = []
     left_out: dict[str, list[str]] = {}  # joints by the reason
+    driven = {each.joint for each in recording.joints if each.has_effort or each.has_reference}
     for joint, controller in controllers.items():
         if joint not in recording.joint_names or joint not in robot.description.joints:
             who = "the recording" if joint not in recording.joint_names else "the robot"
             left_out.setdefault(f"{who} does not have it", []).append(joint)
         elif is_wheel(joint, robot, base) and (reason := why_not_wheel(base, is_asked_for=True)):
             left_out.setdefault(reason, []).append(joint)
+        elif joint not in driven:
+            left_out.setdefault("the recording has no effort or reference of it", []).append(joint)
         else:
             loops.append(controller.settings)
     warnings = [f"left out: {', '.join(each)}: {reason}" for reason, each in left_out.items()]

@@ -161,6 +161,7 @@ def test_a_reader_that_has_read_enough_is_no_error(arguments, read):
 def test_a_reader_that_has_read_enough_costs_no_result(experiment_file, tmp_path, engine, last):
     file, folder = experiment_file(duration=0.05), tmp_path / "r"
     command = ["compare", str(file), "--in-process", "--engine", engine, "-o", str(folder)]
+    command += ["--figures", "svg"]
     reader, writer = os.pipe()
     os.close(reader)
     ended = subprocess.run(
@@ -171,6 +172,7 @@ def test_a_reader_that_has_read_enough_costs_no_result(experiment_file, tmp_path
     os.close(writer)
     assert (ended.returncode, ended.stderr) == (UNREAD, b"")
     assert (folder / last).exists()
+    assert [*folder.rglob("figures/*.svg")]
 
 
 def test_a_full_disk_behind_the_output_is_one_line(monkeypatch):

@@ -1,6 +1,7 @@
 """``hpid identify``: from a bag to numbers that other commands take."""
 
 import json
+from operator import itemgetter
 
 import numpy as np
 import pytest
@@ -101,8 +102,12 @@ def test_a_joint_that_nobody_drives_counts_where_it_was(amplitude, tmp_path, hpi
     for time, (one, two), u in zip(times, moved(times)[:, 0].T, effort, strict=True):
         stamp = round(time * 1e9)
         log += [state(stamp, **{driven: one, other: two}), command(stamp, **{driven: u})]
-    bag = write_bag(tmp_path / "bag", log)
-    assert hpid("identify", bag, "--urdf", URDF, "--json", file)[0] == 0
+    for k in range(10):  # too few to follow it, and no reason to read nothing else
+        log.append(state(round(1e9 * (1.5 + 0.6 * k)), arm_joint_6=0.005 * k))
+    bag = write_bag(tmp_path / "bag", sorted(log, key=itemgetter(1)))
+    code, out, _ = hpid("identify", bag, "--urdf", URDF, "--json", file)
+    assert code == 0
+    assert "arm_joint_6 moved, but has few states" in " ".join(out.split())
     found = json.loads(file.read_text())["joints"]
     assert list(found) == [driven]
     inertia = found[driven]["estimates"]["inertia"]["value"]

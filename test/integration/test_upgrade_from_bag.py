@@ -231,6 +231,18 @@ def test_wheels_on_which_the_robot_rolled_are_left_out(tmp_path, capsys):
     assert f"left out: {', '.join(wheels)}: the robot rolled on it (0.2 m and 0 rad" in line
 
 
+def test_a_controller_that_never_ran_is_left_out(place, tmp_path, capsys):
+    log = []
+    for k in range(200):
+        log += [state(k * 5 * MS, shoulder=0.01 * k, elbow=0.0), command(k * 5 * MS, shoulder=1.0)]
+    bag, params = write_bag(tmp_path / "bag", log), tmp_path / "pid.yaml"
+    pid = {"joint": "elbow", "law": "pid", "gains": {"p": 12.0, "d": 1.2}}
+    params.write_text(yaml.safe_dump({"elbow_controller": {"ros__parameters": pid}}))
+    new = ["--urdf", place / "two_links.urdf", "--params", params, "-o", tmp_path / "new.yaml"]
+    line = refused(capsys, bag, *new)
+    assert "left out: elbow: the recording has no effort or reference of it" in line
+
+
 def test_a_bag_without_efforts_is_one_line(place, tmp_path, capsys):
     states = [state(k * 5 * MS, shoulder=0.01 * k, elbow=0.0) for k in range(200)]
     motion = trajectory(0, ramp("shoulder", t0=0.0, t1=2.0))

@@ -66,12 +66,13 @@ def run(options: argparse.Namespace) -> int:
             force=options.force,
             computed=show,
         )
-    unprinted.require_none()
-    print_result_places(console, {"result": output, "report": output / REPORT})
+    with unprinted:
+        print_result_places(console, {"result": output, "report": output / REPORT})
     if options.animation:
         _animate(console, output)
     if formats:
         _draw(console, output, formats)
+    unprinted.require_none()
     return DONE
 
 
@@ -118,13 +119,14 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
             force=options.force,
             computed=show,
         )
-    unprinted.require_none()
-    for grid in grids:
-        console.print(grid)
-    reports = {f"report in {engine}": output / engine / REPORT for engine in engines}
-    print_result_places(console, {"both": output} | reports)
+    with unprinted:
+        for grid in grids:
+            console.print(grid)
+        reports = {f"report in {engine}": output / engine / REPORT for engine in engines}
+        print_result_places(console, {"both": output} | reports)
     for engine in engines if formats else ():
         _draw(console, output / engine, formats)
+    unprinted.require_none()
     return DONE
 
 

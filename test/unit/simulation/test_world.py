@@ -25,12 +25,14 @@ from harness.worlds import (
 )
 
 from hpid_ros.base.errors import RobotDescriptionError, RunError, SettingError
+from hpid_ros.cli.options import load_robot
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics
 from hpid_ros.simulation.physics import Twist
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
+from hpid_ros.simulation.world_file import world_of
 
 if HAS_BULLET:
     from hpid_ros.simulation.bullet import bullet_urdf, geared, rotor_name
@@ -356,12 +358,16 @@ def test_a_simulation_that_diverges_ends_with_a_line():
             world.step([0.0] * len(JOINTS))
 
 
-def test_a_joint_starts_within_its_limits_also_where_nothing_says_where():
+def test_a_joint_starts_within_its_limits_also_where_nothing_says_where(tmp_path):
     hinged = FLYER.replace("continuous", "revolute").replace(
         "</joint>", '<limit lower="-2" upper="-0.5" effort="1" velocity="1"/></joint>'
     )
     with World(WorldSettings(hinged, ("hinge",), fixed_base=True)) as world:
         assert world.true_positions() == (-0.5,)
+    (tmp_path / "hinged.urdf").write_text(hinged)
+    robot = str(tmp_path / "hinged.urdf")  # and what is designed for the start knows it
+    world = world_of({"robot": {"description": robot}}, None).world
+    assert world.initial_positions == load_robot(robot).initial_positions == {"hinge": -0.5}
 
 
 def test_bad_requests_are_one_clear_line():
