@@ -154,7 +154,8 @@ def _frame(experiment: Experiment) -> TaskFrame | None:
     world, description = experiment.world, experiment.description
     if not moving_joints(description, experiment.end_effector).intersection(world.joints):
         return None
-    return TaskFrame(description, experiment.end_effector, world.base, world.initial_positions)
+    base, others = world.rolling_base, world.initial_positions
+    return TaskFrame(description, experiment.end_effector, base, others)
 
 
 @dataclass(frozen=True)
@@ -233,8 +234,8 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
     base, end_effectors, bricks, paths = {}, {}, {}, []
     for run in runs:
         bag = BagMessages(bags[run.label], *_TOPICS)
-        if world.base is not None:
-            base[run.label] = _base_figures(world, world.base, bag, run)
+        if world.rolling_base is not None:
+            base[run.label] = _base_figures(world, world.rolling_base, bag, run)
         if frame is not None:
             end_effector = EndEffector(frame, run)
             end_effectors[run.label] = end_effector.figures(bag.poses(END_EFFECTOR, POSE))

@@ -53,13 +53,13 @@ def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
         raise SettingError(
             f"model.locked_joints lacks {', '.join(lacking)}: what is not driven is in no state"
         )
-    if not model.left_wheel and not world.fixed_base:
+    if not model.left_wheel:
         model = _rolling(model, world)
     return with_inertia(replace(settings, model=model), robot)
 
 
 def _rolling(model: ModelSettings, world: WorldSettings) -> ModelSettings:
-    base = world.base
+    base = world.rolling_base
     if base is None or not {base.left, base.right} <= set(world.joints):
         return model
     return replace(
@@ -422,8 +422,8 @@ def initial_inertias(
     payload = world.payload_mass, world.payload_link
     held = Dynamics(description, True, *payload)
     inertias = held.joint_inertias(world.joints, world.initial_positions)
-    if world.base is not None and not world.fixed_base:
-        inertias |= wheel_inertias(description, world.base, world.initial_positions, *payload)
+    if (base := world.rolling_base) is not None:
+        inertias |= wheel_inertias(description, base, world.initial_positions, *payload)
     return inertias | {each.joint: 1.0 for each in loops if each.model.is_decoupling}
 
 

@@ -220,15 +220,15 @@ class _Motion(NamedTuple):
         return np.stack(found, axis=1)
 
     def _true_base(self, instants: Numbers) -> Numbers | None:
-        if self.world.base is None or self.world.fixed_base:
+        if self.world.rolling_base is None:
             return None
         truth = BagMessages(self.bag).planar(TRUTH)
         return self._sampled(instants, truth.stamps_ns, truth.poses)
 
     def _wanted_base(self, instants: Numbers) -> Numbers | None:
         """Return where the base would be if its wheels did as their references, without slip."""
-        base, series = self.world.base, {each.joint: each for each in self.run.joints}
-        if base is None or self.world.fixed_base or not set(base.joints) <= set(series):
+        base, series = self.world.rolling_base, {each.joint: each for each in self.run.joints}
+        if base is None or not set(base.joints) <= set(series):
             return None
         left, right = (series[wheel] for wheel in base.joints)
         paths = (np.concatenate((each.position[:1], each.reference)) for each in (left, right))

@@ -369,6 +369,11 @@ class WorldSettings:
         return not self.fixed_base or bool(self.workplace)
 
     @property
+    def rolling_base(self) -> DifferentialDrive | None:
+        """The base, unless it is held, as on a test stand."""
+        return None if self.fixed_base else self.base
+
+    @property
     def physics_period(self) -> float:
         """Time between two physics steps, in [s]."""
         return self.control_period_ns * 1e-9 / self.physics_steps

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from harness.experiments import changed
+from harness.experiments import changed, write_experiment
 
 from hpid_ros.base.errors import BagError, ExperimentError
 from hpid_ros.base.files import share_folder
@@ -295,6 +295,14 @@ def test_deviations_are_those_of_the_kinematics():
 
     lag = np.linalg.norm(hand(heading) - hand(0.9 * heading))
     assert tracking.largest_position == pytest.approx(lag, rel=1e-4)
+
+
+def test_wheels_that_turn_in_the_air_move_no_base_and_no_hand(tmp_path):
+    result, _ = carried(write_experiment(tmp_path, robot__fixed_base=True), tmp_path)
+    assert not result.base
+    (hand, *_) = result.end_effectors.values()
+    assert hand.frame == ROBOT.root
+    assert hand.truth.largest_position == pytest.approx(hand.tracking.largest_position, rel=0.1)
 
 
 def test_truth_is_compared_at_its_own_stamps():

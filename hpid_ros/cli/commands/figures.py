@@ -92,7 +92,9 @@ def _summary(result: Path) -> Summary:
     link = parameters["ros__parameters"]["ee_link"]
     how = Measuring(
         BagSelection(joints=world.joints),
-        robot=TaskFrame(description, link, world.base, world.initial_positions, is_required=False),
+        robot=TaskFrame(
+            description, link, world.rolling_base, world.initial_positions, is_required=False
+        ),
         description=description,
     )
     return summary(measure_all([Source(bag, label) for label, bag in bags.items()], how))

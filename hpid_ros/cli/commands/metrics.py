@@ -142,7 +142,7 @@ def _task_frame(options: argparse.Namespace) -> TaskFrame | None:
     if file.suffix in (".yaml", ".yml"):
         experiment = load_experiment(file)
         world, description = experiment.world, experiment.description
-        base, others, link = world.base, world.initial_positions, experiment.end_effector
+        base, others, link = world.rolling_base, world.initial_positions, experiment.end_effector
     else:
         description = RobotDescription.load(file)
         base, others, link = None, {}, description.last_link
