@@ -238,6 +238,7 @@ def _readings(merger: CommandMerger) -> dict[str, object]:
     }
 
 
+_LONGEST_GAP = 0.2  # of the patience with a joint's sender
 _ZEROS = 10  # with which it leaves: nobody acknowledges a best-effort message
 _BETWEEN_ZEROS = 0.01  # [s]
 _ZEROS_WITHHELD = 100  # at most, while it is not known whose a subscription is
@@ -385,7 +386,8 @@ class JointCommandMerger(ManagedNode):
         merger = self._stream.begin(settings)
         if self._commanders is None:
             patience = max(joint.timeout for joint in settings.joints)
-            self._commanders = Commanders(self, order, merger.counts, patience)
+            longest_gap = _LONGEST_GAP * patience
+            self._commanders = Commanders(self, order, merger.counts, patience, longest_gap)
         else:
             self._commanders.go_on(order, merger.counts)
         self.is_starting = False
@@ -413,8 +415,7 @@ class JointCommandMerger(ManagedNode):
         commanders, sender = self._commanders, self._reader.sender
         if commanders is None:
             return
-        commanders.move()
-        names, efforts = commanders.heed(names, efforts, sender)
+        names, efforts = commanders.heed(names, efforts, sender, commanders.move())
         for name, effort in zip(names, efforts, strict=True):
             self._stream.take(name, stamp_ns, effort, is_signed=bool(sender))
 

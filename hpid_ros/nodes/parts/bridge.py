@@ -324,7 +324,8 @@ class RobotBridge(executor.ClosingNode):
             self._misread += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
-        names, efforts = self._commanders.heed(names, efforts, self._reader.sender)
+        now = time.perf_counter()
+        names, efforts = self._commanders.heed(names, efforts, self._reader.sender, now)
         if not names:
             return
         self._obeyed += self._is_started

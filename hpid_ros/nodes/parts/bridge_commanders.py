@@ -104,6 +104,7 @@ class Commanders:
         joints: Sequence[str],
         counts: Mapping[str, AnswerCounts] | Mapping[str, JointCounts],
         patience: float,
+        longest_gap: float = math.inf,
     ) -> None:
         self._node = node
         self._counts = counts
@@ -111,7 +112,10 @@ class Commanders:
         self._patience = patience
         self._followed = {joint: FollowedSender(patience) for joint in joints}
         self._reported = dict.fromkeys(joints, (0, 0))
-        self._moved = 0.0
+        # [s] what a gap counts at most where nothing but commands tells the time: after a
+        # standstill they are read late, and a second sender's perhaps first
+        self._longest_gap = longest_gap
+        self._moved = self._unheard = 0.0
 
     def go_on(self, joints: Sequence[str], counts: Mapping[str, JointCounts]) -> None:
         """Go on with counts that begin at zero: a joint still follows whom it has followed."""
@@ -121,10 +125,9 @@ class Commanders:
         self._reported = {joint: (self._followed[joint].others, 0) for joint in joints}
 
     def heed(
-        self, names: tuple[str, ...], efforts: tuple[float, ...], sender: str
+        self, names: tuple[str, ...], efforts: tuple[float, ...], sender: str, now: float
     ) -> tuple[tuple[str, ...], tuple[float, ...]]:
         """Return what is to be obeyed of a command."""
-        now = time.perf_counter()
         if len(names) == 1:
             followed = self._followed.get(names[0])
             if followed is None or followed.takes(sender, efforts[0], now):
@@ -136,13 +139,16 @@ class Commanders:
             taken.append(followed is None or followed.takes(sender, effort, now))
         return tuple(compress(names, taken)), tuple(compress(efforts, taken))
 
-    def move(self) -> None:
-        """Note that time goes on; after a standstill no joint is silent yet."""
+    def move(self) -> float:
+        """Note that time goes on, and return it; after a standstill no joint is silent yet."""
         now = time.perf_counter()
-        if now - self._moved > self._patience:
+        gap, self._moved = now - self._moved, now
+        self._unheard += max(gap - self._longest_gap, 0.0)
+        listened = now - self._unheard
+        if gap > self._patience:
             for followed in self._followed.values():
-                followed.wait(now)
-        self._moved = now
+                followed.wait(listened)
+        return listened
 
     def conflict(self) -> str:
         """Return one line about the conflicts since the last call; empty if there were none."""

@@ -5,12 +5,14 @@ import os
 import random
 import socket
 from dataclasses import replace
+from unittest.mock import MagicMock
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.nodes.parts.bridge_commanders import HeldCommands
+from hpid_ros.nodes.parts import bridge_commanders
+from hpid_ros.nodes.parts.bridge_commanders import Commanders, HeldCommands
 from hpid_ros.nodes.parts.claims import LEASE, Claim, ClaimState, HostLock, ReceivedClaims
 from hpid_ros.simulation.lockstep import Barrier, FollowedSender
 
@@ -273,6 +275,36 @@ def test_the_first_sender_is_followed_until_it_is_silent():
     assert (followed.sender, followed.others, followed.changes) == ("a", 4, 2)
     followed.wait(10.0)  # time stood still: nobody was silent
     assert not followed.takes("b", 1.0, 10.1)
+
+
+@pytest.mark.parametrize(
+    ("effort", "times", "is_followed"),
+    [
+        (1.0, [0.04 * k for k in range(1, 13)], False),
+        (1.0, [0.04 * k for k in range(1, 14)], True),
+        (0.0, [0.04 * k for k in range(1, 4)], False),  # it leaves, or rests
+        (0.0, [0.04 * k for k in range(1, 5)], True),
+        # The merger stood still, and is slow with what has waited for it.
+        (1.0, [10.0, 10.3, 10.6, 10.9], False),
+        (0.0, [10.0, 10.3, 10.6, 10.9], False),
+        (1.0, [10.0, *(10.02 + 0.09 * k for k in range(1, 7))], True),
+        (1.0, [0.2 * k for k in range(1, 6)], False),  # commands come rarely
+        (1.0, [0.2 * k for k in range(1, 7)], True),
+    ],
+)
+def test_a_second_sender_is_followed_when_the_first_is_silent_while_it_is_listened_to(
+    monkeypatch, effort, times, is_followed
+):
+    clock = MagicMock(perf_counter=iter([5.0, *(5.0 + each for each in times)]).__next__)
+    monkeypatch.setattr(bridge_commanders, "time", clock)
+    commanders = Commanders(MagicMock(), ["a"], {}, 0.5, longest_gap=0.1)
+
+    def is_obeyed(effort, sender):
+        return bool(commanders.heed(("a",), (effort,), sender, commanders.move())[0])
+
+    assert is_obeyed(effort, "/a_controller")
+    obeyed = [is_obeyed(9.0, "/rival") for _ in times]
+    assert obeyed == [False] * (len(times) - 1) + [is_followed]
 
 
 def test_a_sender_of_what_is_not_finite_is_silent():

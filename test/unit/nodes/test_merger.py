@@ -375,7 +375,7 @@ def test_who_commanded_a_joint_first_is_followed_for_as_long_as_any_joint_may_be
     joints = MergedJoint("elbow"), MergedJoint("wrist", 0.7)
     node = MagicMock(_commanders=None, **{"_wanted.settings.return_value": MergerSettings(joints)})
     JointCommandMerger._start_merging(node)
-    assert node._commanders[-1] == 0.7
+    assert node._commanders[3] == 0.7
 
 
 def test_a_last_zero_that_nobody_acknowledges_is_reported():
