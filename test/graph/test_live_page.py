@@ -70,7 +70,8 @@ def type_into(page, name, value):
 
 def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page, capsys):
     page.get_by_role("button", name="hPID").click()
-    type_into(page, "homogeneity degree", -0.2)
+    # Above 0, so weaker than the PID close by: it has phase left where a machine is late.
+    type_into(page, "homogeneity degree", 0.1)
     type_into(page, "effort scale", 0.5)
     page.get_by_text("certified stable for μ from").wait_for()
     assert positions(harness).std() < 1e-4  # nothing is sent by choosing
