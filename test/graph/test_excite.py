@@ -2,6 +2,7 @@
 
 import io
 import json
+import threading
 from dataclasses import replace
 from itertools import pairwise
 
@@ -69,25 +70,33 @@ def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, ca
 
 @pytest.mark.faults
 def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
-    start_turntable(harness, tmp_path, "lockstep")
+    start_turntable(harness, tmp_path, pace=0.5)
     graph = running_graph()
     (controller,) = graph.controllers.values()
     bounds, gains = bounds_of(controller, INERTIA), controller.settings.gains
-    wish = RelayWish(effort=0.5, cycles=30)
-    planned = planned_relay(bounds, gains.d / gains.p, 0.001, wish)
+    wish = RelayWish(effort=0.5, amplitude=0.3, cycles=50)
+    planned = planned_relay(bounds, gains.d / gains.p, 0.004, wish)
 
     harness.commands.clear()
+    has_switched = threading.Event()
 
-    def has_switched():
-        efforts = [each.effort[0] for each in harness.commands]
-        return np.sum(np.diff(efforts) > wish.effort) > 6
+    def watch():
+        def is_seen():
+            efforts = [each.effort[0] for each in harness.commands]
+            return np.sum(np.diff(efforts) > wish.effort) > 6
+
+        harness.wait(is_seen, what="some cycles")
+        has_switched.set()
 
     def told(event, seconds):
-        if event == "at":
-            harness.wait(has_switched, what="some cycles")
+        """Interrupt in the midst; a parent that waited here would be silent, which ends it."""
+        if event == "at" and has_switched.is_set():
             raise KeyboardInterrupt
 
+    watcher = threading.Thread(target=watch)
+    watcher.start()
     ending = carry_out_relay(planned, controller, graph, tmp_path / "bag", told)
+    watcher.join()
     assert ending.is_interrupted
     wait_for_rest(harness)
     assert not allows_relays(harness)

@@ -26,7 +26,7 @@ def start_turntable(harness, folder, mode="realtime", pace=1.0, **more):
 
     At a ``pace`` below 1 a busy machine may keep whoever answers waiting that much longer.
     In ``lockstep`` it waits for a controller that is late, as on a busy machine, and the
-    controller for a robot that is; at 1 kHz, so that it hardly outruns the clock of the wall, by
+    controller for a robot that is; at 1 kHz, so that it outruns the clock of the wall less, by
     which others judge whether anybody is silent.
     """
     rate, steps = (1000.0, 1) if mode == "lockstep" else (250.0, 2)
