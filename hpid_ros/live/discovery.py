@@ -16,7 +16,7 @@ from hpid_ros.base.errors import RunError
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.experiment.processes import NodeGroup, NodeProcess
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.nodes.core.middleware import OFFERED, load_profile
+from hpid_ros.nodes.core.middleware import OFFERED, destroy_when_quiet, load_profile
 
 _STARTS_WITHIN, _GIVEN_UP_AFTER = 60.0, 5.0  # [s]
 _ASK_PERIOD = 0.02  # [s]
@@ -47,7 +47,7 @@ def time_to_answer() -> float:
             executor.spin_once(timeout_sec=_ASK_PERIOD)
         took = time.monotonic() - begun
         executor.shutdown()
-        node.destroy_node()
+        destroy_when_quiet(node)
         rclpy.shutdown(context=context)
         return took if answers else math.inf
 

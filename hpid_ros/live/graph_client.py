@@ -44,7 +44,7 @@ from hpid_ros.live.history import JointHistory
 from hpid_ros.live.streams import ControllerTopics, Topic, Watching, controller_topics
 from hpid_ros.messages.reports import decode_parameter_event
 from hpid_ros.messages.selection import is_below
-from hpid_ros.nodes.core.middleware import RARE, load_profile, steady_timer
+from hpid_ros.nodes.core.middleware import RARE, destroy_when_quiet, load_profile, steady_timer
 
 _TICK = 0.05  # [s]
 _LOOK_PERIOD, _FIRST_LOOKS, _AT_FIRST = 1.0, 0.25, 5.0  # [s]
@@ -590,7 +590,7 @@ def _reading(namespace: str) -> Iterator[tuple[GraphClient, Spin, dict[str, dict
     finally:
         client.close()
         executor.shutdown()
-        node.destroy_node()
+        destroy_when_quiet(node)
         context.try_shutdown()
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 import time
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import pytest
@@ -100,6 +101,22 @@ def test_all_nodes_of_a_process_wait_for_acknowledgements_as_long_as_one_of_them
         middleware.wait_until_acknowledged(MagicMock(), publisher, "the last command")
     middleware._acknowledged_by.cache_clear()
     assert granted[1] < granted[0]
+
+
+@pytest.mark.parametrize(("until", "ends_at"), [(0.0, 0.03), (0.4, 0.43), (9.0, 1.0)])
+def test_a_node_goes_when_nobody_has_come_or_gone_for_a_while(monkeypatch, until, ends_at):
+    now = 0.0
+
+    def sleep(seconds):
+        nonlocal now
+        now += seconds
+
+    monkeypatch.setattr(middleware, "time", SimpleNamespace(monotonic=lambda: now, sleep=sleep))
+    node = MagicMock()
+    node.get_topic_names_and_types = lambda no_demangle: min(now, until)
+    node.destroy_node = lambda: node.ended(now)
+    middleware.destroy_when_quiet(node)
+    node.ended.assert_called_once_with(pytest.approx(ends_at, abs=0.011))
 
 
 @pytest.mark.parametrize(

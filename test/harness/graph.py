@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.experiment.processes import NodeGroup
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
-from hpid_ros.nodes.core.middleware import OFFERED
+from hpid_ros.nodes.core.middleware import OFFERED, destroy_when_quiet
 
 NAME = "elbow_controller"
 TRANSITIONS = {
@@ -62,7 +62,7 @@ class Harness:
     def __exit__(self, *error):
         self.processes.__exit__(*error)
         self.executor.shutdown()
-        self.node.destroy_node()
+        destroy_when_quiet(self.node)
         rclpy.shutdown(context=self.context)
 
     def _on_command(self, raw):
