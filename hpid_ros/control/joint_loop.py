@@ -15,11 +15,12 @@ from hpid_ros.control.assembly import (
     turn_of_references,
 )
 from hpid_ros.control.estimation import Estimation
+from hpid_ros.control.following import Following
 from hpid_ros.control.homogeneous_pid import Terms
 from hpid_ros.control.limited_law import LimitedLaw
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, relay_obstacle
-from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Following, Motion, Setpoint
+from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Motion, Setpoint
 from hpid_ros.control.settings import LoopSettings
 
 
@@ -596,7 +597,7 @@ class JointLoop:
             self._drop_relay("the joint was taken over again")
             law.override_effort(law.effort)  # the relay's share is in none of the law's terms
         self._estimation.forget_velocity()
-        following.take_over(stamp_ns, position, self._takeover_time)
+        following.take_over(stamp_ns, position, self._takeover_time, law.limits)
         return True
 
     @property

@@ -64,6 +64,11 @@ class MotionLimits:
         self.braked = 0
         """Samples in which a stop or a velocity limit braked the joint."""
 
+    @property
+    def fastest(self) -> float:
+        """The velocity limit in [rad/s]; inf for none."""
+        return self._bounds.velocity
+
     def open(self, position: float) -> None:
         """Take the stops where the joint is, if it is beyond them."""
         self._low = min(self._bounds.lower, position)

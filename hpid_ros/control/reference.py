@@ -1,4 +1,4 @@
-"""The reference of a loop, from motion to motion without a jump, and its feedforward."""
+"""What a loop can be told to follow, and the feedforward of a reference."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import ClassVar, NamedTuple, Protocol
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
-from hpid_ros.control.limits import MotionLimits
 
 
 class FeedforwardGains(NamedTuple):
@@ -128,11 +127,30 @@ _HALF = 1e-9  # of a turn: by so little more than half of one it is half of one
 class Reference(Protocol):
     """Where the joint should be, on the control clock."""
 
+    @property
+    def end_ns(self) -> int:
+        """The instant from which on it rests, in [ns]."""
+
     def sample(self, stamp_ns: int) -> Sequence[float]:
         """Return position [rad], velocity [rad/s], acceleration [rad/s^2] at an instant [ns]."""
 
     def effort(self, stamp_ns: int) -> float:
         """Return the effort that was planned for an instant [ns], in [N m]; 0 if none was."""
+
+
+class Pace(NamedTuple):
+    """How fast a motion is, and where it leads: what a glide onto it goes by."""
+
+    fastest: float = 0.0  # [rad/s] its largest velocity; 0 where it has none
+    given: float = 0.0  # [rad/s] the largest velocity that its points were given
+    lowest: float = -math.inf  # [rad] no position of it is lower
+    highest: float = math.inf  # [rad] no position of it is higher
+    lead: float = 0.0  # [s] planned for the way to a motion's only point
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether it is known where it leads."""
+        return self.lowest > -math.inf
 
 
 class Motion(Protocol):
@@ -146,7 +164,15 @@ class Motion(Protocol):
     def goes_by_time(self) -> bool:
         """Whether it moves by itself, with the clock."""
 
-    def start(self, now_ns: int, position: float, velocity: float) -> Reference:
+    @property
+    def begin_ns(self) -> int:
+        """The instant until which it leaves alone what runs, in [ns]; 0 for at once."""
+
+    @property
+    def pace(self) -> Pace:
+        """How fast it is, and where it leads."""
+
+    def start(self, now_ns: int, position: float | None, velocity: float) -> Reference:
         """Take over from where the reference stands; see ``Column.start``."""
 
     def is_under_way(self, now_ns: int) -> bool:
@@ -155,6 +181,9 @@ class Motion(Protocol):
     def target(self, now_ns: int) -> float:
         """Return the position that it leads to first, or has now if it is under way, in [rad]."""
 
+    def first_ns(self, now_ns: int) -> int:
+        """Return the instant of its first point if it starts now, in [ns]."""
+
 
 @dataclass(frozen=True)
 class Setpoint:
@@ -162,6 +191,8 @@ class Setpoint:
 
     position: float  # [rad]
     goes_by_time: ClassVar[bool] = False
+    begin_ns: ClassVar[int] = 0
+    end_ns: ClassVar[int] = 0
 
     def __post_init__(self) -> None:
         if not -LARGEST_POSITION <= self.position <= LARGEST_POSITION:
@@ -175,7 +206,12 @@ class Setpoint:
         """Return False."""
         return False
 
-    def start(self, now_ns: int, position: float, velocity: float) -> Setpoint:
+    @property
+    def pace(self) -> Pace:
+        """Return that of a motion that rests."""
+        return Pace(lowest=self.position, highest=self.position)
+
+    def start(self, now_ns: int, position: float | None, velocity: float) -> Setpoint:
         """Return itself: a setpoint is the same at all times."""
         return self
 
@@ -186,6 +222,10 @@ class Setpoint:
     def target(self, now_ns: int) -> float:
         """Return the position."""
         return self.position
+
+    def first_ns(self, now_ns: int) -> int:
+        """Return now."""
+        return now_ns
 
     def sample(self, stamp_ns: int) -> tuple[float, float, float]:
         """Return the position at rest."""
@@ -203,6 +243,11 @@ class ShiftedReference:
     onto: Reference  # the other reference
     offset: float  # [rad] how much further this one is
 
+    @property
+    def end_ns(self) -> int:
+        """That of the other reference."""
+        return self.onto.end_ns
+
     def sample(self, stamp_ns: int) -> tuple[float, float, float]:
         """Return the reference at an instant."""
         position, velocity, acceleration = self.onto.sample(stamp_ns)
@@ -211,182 +256,6 @@ class ShiftedReference:
     def effort(self, stamp_ns: int) -> float:
         """Return that of the other reference."""
         return self.onto.effort(stamp_ns)
-
-
-class Glide:
-    r"""A reference that begins where the joint is and ends on another one.
-
-    The difference at the start, :math:`\delta` in position and :math:`\dot\delta` in velocity,
-    fades with the quintics that have no acceleration at either end, over :math:`s \in [0, 1]`:
-
-    .. math::
-        \delta\,(1 - 10 s^3 + 15 s^4 - 6 s^5) + \dot\delta\,T\,(s - 6 s^3 + 8 s^4 - 3 s^5)
-    """
-
-    def __init__(
-        self, onto: Reference, now_ns: int, position: float, velocity: float, duration: float
-    ) -> None:
-        target = onto.sample(now_ns)
-        self.onto = onto
-        self._begin_ns = now_ns
-        self._duration = duration
-        self.end_ns = now_ns + round(duration / SECONDS_PER_NANOSECOND)
-        self._offset = position - target[0]
-        self._carried = (velocity - target[1]) * duration
-
-    def effort(self, stamp_ns: int) -> float:
-        """Return that of the reference to end on."""
-        return self.onto.effort(stamp_ns)
-
-    def sample(self, stamp_ns: int) -> tuple[float, float, float]:
-        """Return the reference at an instant."""
-        position, velocity, acceleration = self.onto.sample(stamp_ns)
-        if not self._begin_ns <= stamp_ns < self.end_ns:
-            return position, velocity, acceleration
-        T, a, b = self._duration, self._offset, self._carried
-        s = (stamp_ns - self._begin_ns) * SECONDS_PER_NANOSECOND / T
-        squared = s * s
-        cubed = squared * s
-        return (
-            position
-            + a * (1.0 - cubed * (10.0 - 15.0 * s + 6.0 * squared))
-            + b * (s - cubed * (6.0 - 8.0 * s + 3.0 * squared)),
-            velocity
-            + a / T * (-30.0 * squared * (1.0 - 2.0 * s + squared))
-            + b / T * (1.0 - squared * (18.0 - 32.0 * s + 15.0 * squared)),
-            acceleration
-            + a / (T * T) * (-60.0 * s * (1.0 - 3.0 * s + 2.0 * squared))
-            + b / (T * T) * (-s * (36.0 - 96.0 * s + 60.0 * squared)),
-        )
-
-
-class Following:
-    """Turns motions into the reference of each sample."""
-
-    __slots__ = (
-        *("_glide_end_ns", "_is_first", "_pending", "_reference"),
-        *(
-            "acceleration",
-            "gives_effort",
-            "has_new_motion",
-            "has_waited",
-            "encoder_turn",
-            "motion",
-            "position",
-            "turn",
-            "velocity",
-        ),
-    )
-
-    def __init__(self) -> None:
-        self.motion: Motion | None = None
-        self.has_waited = False  # a setpoint, for the first state or a takeover
-        self.turn = self.encoder_turn = 0.0
-        self.restart()
-
-    @property
-    def has_reference(self) -> bool:
-        """Whether there is a reference; the first state makes one."""
-        return self._reference is not None
-
-    def follow(self, motion: Motion | None) -> None:
-        """Follow a motion from the next sample on; None forgets what was followed."""
-        self.motion = self._pending = motion
-        self.has_waited = False
-
-    def restart(self) -> None:
-        """Forget where the reference stands, and start the motion again."""
-        self._pending = self.motion
-        self.has_waited = isinstance(self.motion, Setpoint)
-        self._reference: Reference | None = None
-        self._glide_end_ns: int | None = None
-        self._is_first = True
-        self.gives_effort = self.has_new_motion = False
-        self.position = self.velocity = self.acceleration = 0.0
-
-    def stand(self, position: float) -> None:
-        """Hold a position until there is a motion."""
-        self._reference, self._glide_end_ns = Setpoint(position), None
-        self.position, self.velocity, self.acceleration = position, 0.0, 0.0
-
-    def end_timed_motion(self) -> None:
-        """Stay where the reference stands if a motion that has begun goes by time."""
-        if self.motion is not None and self._pending is None and self.motion.goes_by_time:
-            self.motion = self._reference = Setpoint(self.position)
-            self._glide_end_ns = None
-
-    def take_over(self, stamp_ns: int, position: float, duration: float) -> None:
-        """Start from a position again, and glide onto what is followed."""
-        onto = self._onto()
-        self.stand(position)
-        self.has_waited = isinstance(self._pending, Setpoint)
-        if self.motion is not None and self._pending is None:
-            away = self.position - onto.sample(stamp_ns)[0]
-            onto = _shifted(onto, whole_turns(away, self.turn))
-            self._glide(onto, stamp_ns, position, 0.0, duration)
-
-    def sample(
-        self, stamp_ns: int, duration: float, limits: MotionLimits | None
-    ) -> Sequence[float]:
-        """Return the reference of a sample: position, velocity and acceleration.
-
-        There must be a reference, see :attr:`has_reference`.
-        """
-        if self._pending is not None:
-            self._begin(self._pending, stamp_ns, duration, limits)
-        elif self._glide_end_ns is not None and stamp_ns >= self._glide_end_ns:
-            self._reference, self._glide_end_ns = self._onto(), None
-        wanted = self._reference.sample(stamp_ns)  # type: ignore[union-attr]
-        position, velocity, acceleration = wanted
-        if limits is not None:
-            inside, velocity = limits.reference(position, velocity)
-            if inside != position:  # at a stop the reference rests
-                position, acceleration = inside, 0.0
-            wanted = position, velocity, acceleration
-        self.position, self.velocity, self.acceleration = wanted
-        return wanted
-
-    def effort(self, stamp_ns: int) -> float:
-        """Return the effort that was planned for the instant of a sample, in [N m]."""
-        if self._reference is None or not self.gives_effort:
-            return 0.0
-        return self._reference.effort(stamp_ns)
-
-    def _begin(
-        self, motion: Motion, stamp_ns: int, duration: float, limits: MotionLimits | None
-    ) -> None:
-        """Turn to a motion: from where the reference stands, or onto it if it is under way."""
-        before = self._reference
-        assert before is not None
-        self._pending = None
-        self.gives_effort, self.has_new_motion = motion.gives_effort, True
-        is_under_way, turn = motion.is_under_way(stamp_ns), self.turn
-        if self._is_first and is_under_way:
-            turn = turn or self.encoder_turn
-        self._is_first = False
-        position, velocity, _ = before.sample(stamp_ns)
-        if limits is not None:  # or a glide from beyond a stop would leave it at full speed
-            position, velocity = limits.reference(position, velocity)
-        offset = whole_turns(position - motion.target(stamp_ns), turn) if turn else 0.0
-        onto = _shifted(motion.start(stamp_ns, position - offset, velocity), offset)
-        self._reference, self._glide_end_ns = onto, None
-        if is_under_way or self.has_waited:
-            self._glide(onto, stamp_ns, position, velocity, duration)
-
-    def _onto(self) -> Reference:
-        """Return the reference that is followed in the end."""
-        reference = self._reference
-        assert reference is not None
-        return reference.onto if isinstance(reference, Glide) else reference
-
-    def _glide(
-        self, onto: Reference, stamp_ns: int, position: float, velocity: float, duration: float
-    ) -> None:
-        """Follow a reference, gliding onto it if it is elsewhere."""
-        self._reference, self._glide_end_ns = onto, None
-        if duration > 0.0 and tuple(onto.sample(stamp_ns)[:2]) != (position, velocity):
-            glide = Glide(onto, stamp_ns, position, velocity, duration)
-            self._reference, self._glide_end_ns = glide, glide.end_ns
 
 
 def whole_turns(away: float, turn: float) -> float:
@@ -401,7 +270,7 @@ def whole_turns(away: float, turn: float) -> float:
     return math.copysign(turn * max(math.ceil(abs(turns) - 0.5 - _HALF), 0), turns)
 
 
-def _shifted(onto: Reference, offset: float) -> Reference:
+def shifted(onto: Reference, offset: float) -> Reference:
     """Return a reference so many rad further."""
     if offset == 0.0:
         return onto

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import TrajectoryError, unknown_name
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND, Numbers
+from hpid_ros.control.reference import Pace
 
 _FOREVER = 2**63 - 1
 
@@ -69,31 +70,51 @@ class Column:
             return all(knot.effort is not None for knot in self.knots)
         return bool(getattr(self.knots, "gives_effort", False))
 
-    def start(self, now_ns: int, position: float, velocity: float = 0.0) -> SplineReference:
+    @property
+    def begin_ns(self) -> int:
+        """The instant until which it leaves alone what runs, in [ns]; 0 for at once."""
+        return self.stamp_ns and self.stamp_ns + min(self.knots[0].time_ns, 0)
+
+    @cached_property
+    def pace(self) -> Pace:
+        """How fast it is, and where it leads."""
+        return pace(self.knots)
+
+    def start(self, now_ns: int, position: float | None, velocity: float = 0.0) -> SplineReference:
+        """Return its reference from an instant on.
+
+        The way to a first knot that is yet to come begins at the position. It overshoots neither
+        end: it begins at the velocity, but no faster than a spline between the two without an
+        extreme may. Without a position there is no way: the first knot's is held until then.
+        """
         start_ns = self.stamp_ns or now_ns
-        return SplineReference(self.knots, start_ns, Knot(now_ns - start_ns, position, velocity))
+        before, first = None, self.knots[0]
+        since_ns = now_ns - start_ns
+        if position is not None and since_ns < first.time_ns:
+            before = approach(Knot(since_ns, position, velocity), first)
+        return SplineReference(self.knots, start_ns, before)
 
     def is_under_way(self, now_ns: int) -> bool:
         """Return whether the first knot lies before an instant."""
         return self.stamp_ns != 0 and now_ns > self.stamp_ns + self.knots[0].time_ns
+
+    def first_ns(self, now_ns: int) -> int:
+        """Return the instant of the first knot if it starts now, in [ns]."""
+        return (self.stamp_ns or now_ns) + self.knots[0].time_ns
 
     def target(self, now_ns: int) -> float:
         """Return the position of the first knot, or the present one of a motion under way."""
         first = self.knots[0].position
         if not self.is_under_way(now_ns):
             return first
-        return self.start(now_ns, first).sample(now_ns).position
+        return self.start(now_ns, None).sample(now_ns).position
 
 
 class SplineReference:
     """Samples a column on the control clock; made by :meth:`Column.start`."""
 
-    def __init__(self, knots: Sequence[Knot], start_ns: int, before: Knot) -> None:
-        first = knots[0]
-        self._before: Knot | None = None
-        if before.time_ns < first.time_ns:
-            acceleration = None if first.acceleration is None else 0.0
-            self._before = before._replace(acceleration=acceleration, effort=first.effort)
+    def __init__(self, knots: Sequence[Knot], start_ns: int, before: Knot | None) -> None:
+        self._before = before  # where the way to the first knot begins
         # Not copied: a loop takes over 50 000 knots between two samples.
         self._knots, self._start_ns = knots, start_ns
         self._index = -1
@@ -163,6 +184,56 @@ class SplineReference:
         ):
             return following  # time goes on by a segment mostly
         return bisect_right(knots, time_ns, key=itemgetter(0)) - 1
+
+
+_STEEPEST_CUBIC, _STEEPEST_QUINTIC = 3.0, 2.5  # slopes at which a spline may begin
+
+
+def approach(start: Knot, first: Knot) -> Knot:
+    """Return where the way to a first knot begins: as it stands, but no faster than fits.
+
+    A cubic between two positions has no extreme in between if it begins at 0 to 3 times their
+    slope, a quintic without acceleration at 0 to 2.5 times.
+
+    Source: F. Fritsch and R. Carlson, "Monotone piecewise cubic interpolation", SIAM Journal on
+    Numerical Analysis 17 (1980) 238-246.
+    """
+    acceleration = None if first.acceleration is None else 0.0
+    slope = (first.position - start.position) / (
+        (first.time_ns - start.time_ns) * SECONDS_PER_NANOSECOND
+    )
+    steepest = (_STEEPEST_CUBIC if first.acceleration is None else _STEEPEST_QUINTIC) * slope
+    velocity = start.velocity or 0.0
+    velocity = min(max(velocity, min(steepest, 0.0)), max(steepest, 0.0))
+    return Knot(start.time_ns, start.position, velocity, acceleration, first.effort)
+
+
+def pace(knots: Sequence[Knot]) -> Pace:
+    """Return how fast a spline is, by its knots and their slopes, and what bounds its positions.
+
+    Between two knots with velocities a spline passes their positions by no more than the
+    velocities, and accelerations, explain.
+    """
+    arrays = knots if isinstance(knots, KnotArrays) else KnotArrays.of(knots)
+    times_ns, positions, velocities, accelerations = arrays.columns
+    given = np.abs(np.nan_to_num(velocities, nan=0.0))
+    fastest = largest = float(given.max())
+    lowest, highest = float(positions.min()), float(positions.max())
+    if len(times_ns) == 1:
+        lead = float(times_ns[0]) * SECONDS_PER_NANOSECOND
+        return Pace(fastest, largest, lowest, highest, max(lead, 0.0))
+    spans = np.diff(times_ns) * SECONDS_PER_NANOSECOND
+    fastest = max(fastest, float(np.abs(np.diff(positions) / spans).max()))
+    bends = np.abs(np.nan_to_num(accelerations, nan=0.0))
+    beyond = _BEYOND_BY_VELOCITY * (given[:-1] + given[1:]) * spans
+    beyond = beyond + _BEYOND_BY_ACCELERATION * (bends[:-1] + bends[1:]) * spans * spans
+    lowest = float((np.minimum(positions[:-1], positions[1:]) - beyond).min())
+    highest = float((np.maximum(positions[:-1], positions[1:]) + beyond).max())
+    return Pace(fastest, largest, lowest, highest)
+
+
+# What a cubic or quintic exceeds its ends by, at most: 4/27 and 0.175 v T, 0.0173 a T^2.
+_BEYOND_BY_VELOCITY, _BEYOND_BY_ACCELERATION = 0.18, 0.02
 
 
 def segment(start: Knot, end: Knot) -> _Coefficients:
@@ -353,6 +424,17 @@ class KnotArrays(Sequence[Knot]):
         self._times_ns, self._positions = times_ns, positions
         self._rest = velocities, accelerations, efforts
 
+    @classmethod
+    def of(cls, knots: Sequence[Knot]) -> KnotArrays:
+        times_ns, *rest = zip(*knots, strict=True)
+        numbers = (np.array([math.nan if x is None else x for x in each]) for each in rest)
+        return cls(np.array(times_ns, dtype=np.int64), *numbers)
+
+    @property
+    def columns(self) -> tuple[Integers, Numbers, Numbers, Numbers]:
+        """Times [ns], positions, velocities and accelerations; NaN for one that is not given."""
+        return self._times_ns, self._positions, self._rest[0], self._rest[1]
+
     @property
     def gives_effort(self) -> bool:
         """Whether every knot has an effort."""
@@ -403,7 +485,9 @@ def checked_column(
 ) -> Column:
     """Return one joint's column of a trajectory that :func:`require_arrays` let pass."""
     columns = (each[:, at].copy() for each in arrays)
-    return Column(joint, KnotArrays(times_ns, *columns), stamp_ns)
+    column = Column(joint, KnotArrays(times_ns, *columns), stamp_ns)
+    _ = column.pace  # now: a loop that takes it over has no time for 50 000 knots
+    return column
 
 
 def _suspects(

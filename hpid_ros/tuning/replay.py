@@ -23,7 +23,7 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
-from hpid_ros.control.reference import LARGEST_POSITION, Motion
+from hpid_ros.control.reference import LARGEST_POSITION, Motion, Pace
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.supervision import LATE_NS
 
@@ -84,8 +84,10 @@ class AskedReference:
         return self  # the same for every branch of a replay
 
     gives_effort = goes_by_time = False
+    begin_ns = end_ns = 0
+    pace = Pace()  # nobody knows where it will lead
 
-    def start(self, now_ns: int, position: float, velocity: float) -> AskedReference:
+    def start(self, now_ns: int, position: float | None, velocity: float) -> AskedReference:
         return self
 
     def is_under_way(self, now_ns: int) -> bool:
@@ -93,6 +95,9 @@ class AskedReference:
 
     def target(self, now_ns: int) -> float:
         return self.sample(now_ns)[0]
+
+    def first_ns(self, now_ns: int) -> int:
+        return now_ns
 
     def sample(self, stamp_ns: int) -> tuple[float, float, float]:
         """Return what was asked for; of a state without an answer nobody knows."""

@@ -1,7 +1,7 @@
 """A goal from its start to success, abort or stop, one at a time.
 
 The controllers are asked for nothing: the code that follows a trajectory in each of them
-(:class:`~hpid_ros.control.reference.Following`) runs here once more, fed with the same
+(:class:`~hpid_ros.control.following.Following`) runs here once more, fed with the same
 trajectories and stamps. They differ by when exactly a controller took a trajectory up, which fades
 with the glide. What controllers publish of their references is used where they were sent nothing.
 
@@ -19,7 +19,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
-from hpid_ros.control.reference import LARGEST_POSITION, Following, whole_turns
+from hpid_ros.control.following import Following
+from hpid_ros.control.reference import LARGEST_POSITION, whole_turns
 from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.messages.joint_state import JointPart
 from hpid_ros.motion.joint_trajectory import Column, Knot, checked_column

@@ -153,7 +153,7 @@ def test_a_controller_that_is_started_again_joins_a_motion_in_the_turn_that_it_i
         loop.step(k * MS, math.remainder(3e-3 * k, math.tau), 3.0)
         errors.append(abs(loop.error))
     assert errors[0] == 0.0
-    assert max(errors) < 0.3  # the glide begins at rest
+    assert max(errors) < 0.45  # the glide begins at rest
     assert max(errors[600:]) < 1e-8  # of a stamp of 1 ns
     loop.follow(Setpoint(0.0))
     loop.step(9000 * MS, math.remainder(27.0, math.tau), 3.0)
@@ -172,7 +172,7 @@ def test_a_trajectory_is_taken_whole_turns_away_and_runs_on_as_it_is():
         before = loop.reference[0]
     assert before == pytest.approx(9.5 + 2 * math.tau)
     loop.step(9 * SECOND, 0.1, 0.0)  # after a gap, the nearest turn again
-    for k in range(1, 600):
+    for k in range(1, 1500):
         loop.step(9 * SECOND + k * MS, 0.1, 0.0)
     assert loop.reference[0] == pytest.approx(9.5 - math.tau, abs=1e-9)
 

@@ -148,7 +148,7 @@ def test_a_goal_with_a_stamp_begins_then_and_one_that_is_under_way_is_joined():
     joining.run(0.2)
     joining.begin(moving(stamp_ns=round(99.7 * SECOND)))
     joining.run(3.0, until=lambda: joining.results)
-    assert 100.7 * SECOND < joining.stamp_ns < 101.2 * SECOND
+    assert 100.7 * SECOND < joining.stamp_ns < 101.8 * SECOND  # no faster than it was planned
     for joint in range(2):
         assert np.abs(np.diff(joining.logged(joint)[1])).max() < 4e-3
 
