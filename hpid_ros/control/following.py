@@ -167,7 +167,7 @@ class Following:
             "_is_first",
             "_offset",
             "_reference",
-            "_scheduled",
+            "_arrived",
             "_waiting",
         ),
         *(
@@ -201,17 +201,15 @@ class Following:
         """
         self.motion, self.has_waited = motion, False
         if motion is None:
-            self._waiting, self._scheduled, self._active = (), 0, None
+            self._arrived = self._waiting = ()
+            self._active = None
         else:
-            self._waiting = (*self._waiting, motion)
-            if len(self._waiting) > _MOST_WAITING:
-                self._waiting = self._waiting[1:]
-                self._scheduled = max(self._scheduled - 1, 0)
+            self._arrived = (*self._arrived, motion)[-_MOST_WAITING:]
 
     def restart(self) -> None:
         """Forget where the reference stands, and start the newest motion again."""
-        self._waiting: tuple[Motion, ...] = () if self.motion is None else (self.motion,)
-        self._scheduled = 0  # how many of them have been seen, and begin later
+        self._arrived: tuple[Motion, ...] = () if self.motion is None else (self.motion,)
+        self._waiting: tuple[Motion, ...] = ()  # those that begin later, in that order
         self.has_waited = isinstance(self.motion, Setpoint)
         self._reference: Reference | None = None
         self._active: Motion | None = None  # what the reference is of
@@ -230,20 +228,22 @@ class Following:
 
     def end_timed_motion(self) -> None:
         """Stay where the reference stands if a motion that has begun goes by time."""
-        self._waiting = self._waiting[self._scheduled :]  # the others were told by this clock
-        self._scheduled = 0
+        self._waiting = ()  # they were to begin by this clock
         if self._active is not None and self._active.goes_by_time:
             self._active = self._reference = Setpoint(self.position)
             self._glide, self._offset = None, _NONE
-            self.motion = self._waiting[-1] if self._waiting else self._active
+            self.motion = self._arrived[-1] if self._arrived else self._active
 
     def take_over(
         self, stamp_ns: int, position: float, duration: float, limits: MotionLimits | None
     ) -> None:
         """Start from a position again, and glide onto what is followed."""
         onto, active = self._reference, self._active
-        self.has_waited = bool(self._waiting) and isinstance(self._waiting[-1], Setpoint)
-        is_replaced = any(each.begin_ns <= stamp_ns for each in self._waiting)
+        self.has_waited = bool(self._arrived) and isinstance(self._arrived[-1], Setpoint)
+        due = [each for each in self._waiting if each.begin_ns <= stamp_ns]  # too late by now
+        self._arrived = (*due, *self._arrived)
+        self._waiting = self._waiting[len(due) :]
+        is_replaced = any(_begin_ns(each, stamp_ns) == stamp_ns for each in self._arrived)
         self.stand(position)
         if active is None or onto is None or is_replaced:
             return
@@ -260,12 +260,12 @@ class Following:
 
         There must be a reference, see :attr:`has_reference`.
         """
-        if self._waiting:
-            self._begin_due(stamp_ns, duration, limits)
         if self._glide is not None and stamp_ns >= self._glide.end_ns:
             self._glide = None
         if self._offset is not _NONE and stamp_ns >= self._offset.end_ns:
             self._offset = _NONE
+        if self._arrived or self._waiting:
+            self._begin_due(stamp_ns, duration, limits)
         wanted = self._at(stamp_ns)
         if limits is not None:
             position, velocity, acceleration = wanted
@@ -299,14 +299,18 @@ class Following:
 
     def _begin_due(self, stamp_ns: int, duration: float, limits: MotionLimits | None) -> None:
         """Begin with the motions whose time has come; a newer one ends those that begin later."""
-        waiting: list[Motion] = []
-        for motion in self._waiting:
-            begin_ns = max(motion.begin_ns, stamp_ns)
-            waiting = [each for each in waiting if max(each.begin_ns, stamp_ns) < begin_ns]
+        waiting = list(self._waiting)
+        for motion in self._arrived:
+            begin_ns = _begin_ns(motion, stamp_ns)
+            waiting = [each for each in waiting if _begin_ns(each, stamp_ns) < begin_ns]
             waiting.append(motion)
-        if waiting[0].begin_ns <= stamp_ns:
-            self._begin(waiting.pop(0), stamp_ns, duration, limits)
-        self._waiting, self._scheduled = tuple(waiting), len(waiting)
+        were_in_time, self._arrived = self._waiting, ()
+        while waiting and _begin_ns(waiting[0], stamp_ns) == stamp_ns:
+            motion = waiting.pop(0)
+            # What was there in time begins in time, whenever the states come.
+            is_in_time = any(motion is each for each in were_in_time)
+            self._begin(motion, motion.begin_ns if is_in_time else stamp_ns, duration, limits)
+        self._waiting = tuple(waiting[:_MOST_WAITING])
 
     def _begin(
         self, motion: Motion, stamp_ns: int, duration: float, limits: MotionLimits | None
@@ -318,11 +322,12 @@ class Following:
         if self._is_first and is_under_way:
             turn = turn or self.encoder_turn
         self._is_first = False
-        goes_on = is_under_way and here.is_running
+        is_exact = motion.goes_by_time and motion.first_ns(stamp_ns) == stamp_ns
+        goes_on = is_exact or (is_under_way and here.is_running)
         nearest = here.joined[0] if goes_on else here.position
         turns = whole_turns(nearest - motion.target(stamp_ns), turn) if turn else 0.0
         self._active = motion
-        if is_under_way or self.has_waited:
+        if goes_on or is_under_way or self.has_waited:
             self._reference = shifted(motion.start(stamp_ns, None, 0.0), turns)
             if goes_on:
                 self._go_on(here, motion.pace, turns, stamp_ns, duration)
@@ -483,6 +488,11 @@ class Following:
         """The motion's own reference."""
         assert self._reference is not None
         return self._reference
+
+
+def _begin_ns(motion: Motion, now_ns: int) -> int:
+    """Return when a motion begins that did not before now, in [ns]."""
+    return max(motion.begin_ns, now_ns) if motion.begin_ns else now_ns
 
 
 def _own_speed(pace: Pace, away: float) -> float:

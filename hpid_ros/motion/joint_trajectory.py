@@ -96,7 +96,7 @@ class Column:
 
     def is_under_way(self, now_ns: int) -> bool:
         """Return whether the first knot lies before an instant."""
-        return self.stamp_ns != 0 and now_ns > self.stamp_ns + self.knots[0].time_ns
+        return now_ns > self.first_ns(now_ns)
 
     def first_ns(self, now_ns: int) -> int:
         """Return the instant of the first knot if it starts now, in [ns]."""

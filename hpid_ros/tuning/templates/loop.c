@@ -69,6 +69,8 @@ typedef {{ c }}_state State;
 #define SLOPE_MARGIN REAL(1e-6) /* of ln n */
 #define HALF REAL(1e-9) /* of a turn: as much more than half of one is half of one */
 #define ITERATIONS 60 /* of Newton's method, at most */
+#define PEAK REAL(1.875) /* largest rate of a smooth step, of its height in its duration */
+#define LONGEST REAL(3600.0) /* of a glide [s] */
 
 const {{ c }}_settings_type {{ c }}_settings = {
 {% for field in fields %}
@@ -537,33 +539,34 @@ static void begin_passage(State *loop, int64_t stamp_ns, Real wanted, Real rate)
 {
     const Coefficients *c = &loop->own.coefficients;
     Passage *passage = &loop->own.passage;
-    Real position = loop->position, turn = c->turn;
+    Real position = loop->position, turn = c->turn, slowly;
     passage->has_reference = true;
     if (!passage->has_begun && turn == 0) /* the turns until now were not counted */
         turn = c->lost_turn;
     passage->has_begun = true;
     passage->turns += whole_turns(position - turned(passage, wanted), turn);
     wanted = turned(passage, wanted);
+    passage->position = position;
     passage->duration = loop->settings.takeover_time;
-    passage->duration_ns = c->glide_ns;
+    if (passage->duration > 0) {
+        slowly = PEAK * ABS(position - wanted) / c->velocity_limit;
+        passage->duration = smaller(larger(passage->duration, slowly), LONGEST);
+    }
+    passage->duration_ns = (int64_t)rounded(passage->duration / NANOSECOND);
     passage->is_gliding = passage->duration > 0 && (wanted != position || rate != 0);
     passage->begin_ns = stamp_ns;
-    passage->offset = position - wanted;
-    passage->carried = (0 - rate) * passage->duration;
 }
 
-/* Let the difference at the start fade, by the quintics without acceleration at the ends. */
+/* Be between where the glide began and where the reference is, by a smooth step. */
 static void glide(const Passage *passage, int64_t stamp_ns, Real *position, Real *velocity)
 {
-    Real T = passage->duration, a = passage->offset, b = passage->carried;
-    Real s = seconds(passage->begin_ns, stamp_ns) / T;
-    Real squared = s * s, cubed = squared * s;
-    *position = *position
-        + a * (1 - cubed * (REAL(10.0) - REAL(15.0) * s + REAL(6.0) * squared))
-        + b * (s - cubed * (REAL(6.0) - REAL(8.0) * s + REAL(3.0) * squared));
-    *velocity = *velocity
-        + a / T * (REAL(-30.0) * squared * (1 - REAL(2.0) * s + squared))
-        + b / T * (1 - squared * (REAL(18.0) - REAL(32.0) * s + REAL(15.0) * squared));
+    Real T = passage->duration, s = seconds(passage->begin_ns, stamp_ns) / T;
+    Real squared = s * s, away = passage->position - *position;
+    Real weight =
+        1 - squared * s * (REAL(10.0) - REAL(15.0) * s + REAL(6.0) * squared);
+    Real rate = REAL(-30.0) * squared * (1 - REAL(2.0) * s + squared) / T;
+    *position = *position + weight * away;
+    *velocity = (1 - weight) * *velocity + rate * away;
 }
 
 /* Set the reference of a sample: gliding, and within the stops, where it waits. */

@@ -125,8 +125,7 @@ typedef struct {{ c }}_passage {
     int64_t begin_ns;      /* of the glide */
     int64_t duration_ns;   /* of the glide */
     {{ c }}_real duration; /* of the glide [s] */
-    {{ c }}_real offset;   /* at its beginning, from the reference [rad] */
-    {{ c }}_real carried;  /* difference of velocities times duration [rad] */
+    {{ c }}_real position; /* where it begins, at rest [rad] */
     {{ c }}_real turns;    /* whole turns between reference and joint [rad] */
 } {{ c }}_passage;
 
@@ -200,7 +199,8 @@ void {{ c }}_reset({{ c }}_state *loop);
  *     takes over anew, from the effort in force.
  * reference_position, reference_velocity: where the joint should be [rad], and
  *     how fast [rad/s]. After init, reset and a takeover the loop glides onto
- *     it from where the joint is, in takeover_time.
+ *     it from where the joint is, in takeover_time, or longer where it would
+ *     else be faster than velocity_max.
  * position: measured [rad].
  * velocity: measured [rad/s], or NULL where it is not; only looked at where
  *     velocity_source is measured.

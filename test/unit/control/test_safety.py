@@ -481,7 +481,7 @@ def test_every_parameter_is_retuned_in_motion_without_a_kick(name, source):
         each.follow(Column("j", (start, end), stamp_ns=1))
     has_velocity = values["velocity_source"] == "measured"
     retuned = 600  # when the glide at the start is over
-    for k in range(700):
+    for k in range(680):
         position = 2e-3 * k + 0.02 * math.sin(0.02 * k)
         if k == retuned:
             changed = LoopSettings.from_parameters({**values, name: OTHERS[name]})

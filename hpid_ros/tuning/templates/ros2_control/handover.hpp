@@ -45,6 +45,13 @@ public:
     return is_empty ? nullptr : &values_[popped % kSize];
   }
 
+  /// Returns the value that is so many after the oldest, nullptr if there is none.
+  T * at(std::size_t later)
+  {
+    const auto place = popped_.load(std::memory_order_relaxed) + later;
+    return place < pushed_.load(std::memory_order_acquire) ? &values_[place % kSize] : nullptr;
+  }
+
   void pop() { popped_.fetch_add(1, std::memory_order_release); }
 
   /// Returns all places, to be prepared before either thread uses them.
@@ -54,34 +61,6 @@ private:
   std::array<T, kSize> values_;
   std::atomic<std::size_t> pushed_ = 0;
   std::atomic<std::size_t> popped_ = 0;
-};
-
-/// The newest value. The writer fills slot() and calls publish(); what the reader took stays its
-/// own until it takes the next one.
-template <typename T>
-class Newest
-{
-public:
-  T & slot() { return slots_[writers_]; }
-
-  void publish() { writers_ = shared_.exchange(writers_ | kNew, std::memory_order_acq_rel) & ~kNew; }
-
-  bool has_new() const { return (shared_.load(std::memory_order_relaxed) & kNew) != 0; }
-
-  /// Returns the newest value; only if has_new().
-  const T & take()
-  {
-    readers_ = shared_.exchange(readers_, std::memory_order_acq_rel) & ~kNew;
-    return slots_[readers_];
-  }
-
-private:
-  static constexpr unsigned kNew = 4;
-
-  std::array<T, 3> slots_;
-  std::atomic<unsigned> shared_ = 0;
-  unsigned writers_ = 1;
-  unsigned readers_ = 2;
 };
 
 }  // namespace {{ package }}

@@ -32,9 +32,10 @@ void Joint::begin()
 void Joint::drop_motion()
 {
   follower_.hold(asked_.position);
-  if (motion.has_new()) {
-    motion.take();
+  while (motions.front() != nullptr) {
+    motions.pop();
   }
+  received_ = 0;
 }
 
 double Joint::resume()
@@ -161,20 +162,30 @@ Reference Joint::asked_for(
     return {
       chained->position + turns, std::isfinite(chained->velocity) ? chained->velocity : 0.0};
   }
-  Reference here = follower_.sample(stamp_ns);
-  if (is_standing_ && motion.has_new()) {
-    const auto & own = loop_.own;
-    // At a stop the reference rests; before the loop's first sample there are none.
-    if (its.has_limits && own.passage.has_reference) {
-      const double inside = std::clamp(here.position + own.passage.turns, own.low, own.high);
-      if (inside != here.position + own.passage.turns) {
-        here = {inside - own.passage.turns, 0.0};
-      }
+  const auto & own = loop_.own;
+  Terms terms;
+  terms.now_ns = stamp_ns;
+  terms.ahead_ns = ahead_ns;
+  terms.turn = its.turn;
+  terms.lost_turn = its.lost_turn;
+  terms.takeover_time = loop_.settings.takeover_time;
+  terms.fastest = its.velocity_limit;
+  // At a stop the reference rests; before the loop's first sample there are none.
+  if (its.has_limits && own.passage.has_reference) {
+    terms.low = own.low;
+    terms.high = own.high;
+    terms.turns = own.passage.turns;
+  }
+  if (is_standing_) {
+    while (const Motion * came = motions.at(received_)) {
+      follower_.receive(*came, terms);
+      ++received_;
     }
-    follower_.follow(
-      motion.take(), stamp_ns, ahead_ns, here, its.turn, its.lost_turn,
-      loop_.settings.takeover_time);
-    here = follower_.sample(stamp_ns);
+  }
+  const Reference here = follower_.sample(terms);
+  while (received_ > 0 && !follower_.uses(*motions.front())) {
+    motions.pop();
+    --received_;
   }
   return here;
 }

@@ -3,6 +3,7 @@
 #define JOINT_HPP_
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 
@@ -66,7 +67,7 @@ public:
   // Called by one other thread.
 
   Queue<Settings, 64> retunings;  // to be applied, each accepted
-  Newest<Motion> motion;
+  Queue<Motion, Follower::kMost> motions;  // in the order in which they came
   std::atomic<bool> is_enabled = true;  // whether it is controlled while the controller is active
 
   // Counted for whoever asks.
@@ -98,6 +99,7 @@ private:
   double position_ = 0.0;
   double velocity_ = 0.0;
   Reference asked_;
+  std::size_t received_ = 0;  // motions that the follower has got, the first ones of their queue
 };
 
 }  // namespace {{ package }}

@@ -17,6 +17,7 @@ namespace
 {
 
 constexpr std::size_t kMostPoints = 50000;
+const std::string kTooMany = "64 wait already for their beginning, or for the control loop";
 constexpr double kLeastRate = 0.95;  // of the controller's updates, of the one by control_period
 
 /// Returns why a joint's column of a trajectory cannot be followed; empty, and the motion, if it can.
@@ -64,6 +65,7 @@ std::string column(
     }
     motion.knots.push_back(knot);
   }
+  motion.pace = pace_of(motion.knots);
   return "";
 }
 
@@ -239,7 +241,8 @@ void JointNode::on_trajectory(const trajectory_msgs::msg::JointTrajectory & mess
     return;
   }
   const auto at = static_cast<std::size_t>(found - names.begin());
-  auto reason = column(message, at, joint_->motion.slot());
+  Motion * const place = joint_->motions.back();
+  auto reason = place != nullptr ? column(message, at, *place) : kTooMany;
   auto sorted = names;
   std::sort(sorted.begin(), sorted.end());
   if (std::adjacent_find(sorted.begin(), sorted.end()) != sorted.end()) {
@@ -249,7 +252,7 @@ void JointNode::on_trajectory(const trajectory_msgs::msg::JointTrajectory & mess
     refuse("trajectory refused: " + reason);
     return;
   }
-  joint_->motion.publish();
+  joint_->motions.push();
 }
 
 void JointNode::on_setpoint(double position)
@@ -261,12 +264,18 @@ void JointNode::on_setpoint(double position)
     refuse("setpoint refused: it is not finite, or beyond 1e9");
     return;
   }
-  Motion & motion = joint_->motion.slot();
-  motion.knots.assign(1, Knot());
-  motion.knots.front().position = position;
-  motion.stamp_ns = 0;
-  motion.is_setpoint = true;
-  joint_->motion.publish();
+  Motion * const motion = joint_->motions.back();
+  if (motion == nullptr) {
+    refuse("setpoint refused: " + kTooMany);
+    return;
+  }
+  motion->knots.assign(1, Knot());
+  motion->knots.front().position = position;
+  motion->stamp_ns = 0;
+  motion->is_setpoint = true;
+  motion->pace = pace_of(motion->knots);
+  motion->pace.lead = 0.0;
+  joint_->motions.push();
 }
 
 bool JointNode::may_move(const char * what)

@@ -1,7 +1,9 @@
-// Where a joint should be at each instant: a setpoint, or its column of a trajectory.
+// Where a joint should be at each instant: setpoints, or its columns of a sequence of trajectories.
 #ifndef REFERENCE_HPP_
 #define REFERENCE_HPP_
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <vector>
@@ -9,6 +11,7 @@
 namespace {{ package }}
 {
 
+constexpr double kInfinite = std::numeric_limits<double>::infinity();
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kLargest = {{ largest_position|double }};  // of positions and their derivatives
 
@@ -27,60 +30,139 @@ struct Knot
   double acceleration = kNaN;  // [rad/s^2]
 };
 
+/// How fast a motion is, and where it leads; hpid_ros.control.reference.Pace.
+struct Pace
+{
+  double fastest = 0.0;        // [rad/s] its largest velocity; 0 where it has none
+  double given = 0.0;          // [rad/s] the largest velocity that its points were given
+  double lowest = -kInfinite;  // [rad]
+  double highest = kInfinite;  // [rad]
+  double lead = 0.0;           // [s] planned for the way to a motion's only point
+};
+
 struct Motion
 {
   std::vector<Knot> knots;    // at least one, their times increase
   std::int64_t stamp_ns = 0;  // of the start; 0 is with the next state
   bool is_setpoint = false;   // a step to the one knot, whenever it comes
+  Pace pace;                  // of the knots, by pace_of()
 };
+
+/// Returns how fast knots are, and what bounds their spline.
+Pace pace_of(const std::vector<Knot> & knots);
 
 /// Returns the whole turns in a distance, so that half of one is left at most [rad]; 0 for no turn.
 double whole_turns(double away, double turn);
 
-/// Goes from motion to motion without a jump of the reference, but for a setpoint, which is a step.
-/// The rules are those of joint_trajectory_controller and of hpid_ros: a segment is linear, cubic or
-/// quintic by the derivatives that both ends have; before the first point the reference runs from
-/// where it stands, after the last one it holds; onto a motion that is under way it glides.
+/// What a joint's reference goes by in a cycle.
+struct Terms
+{
+  std::int64_t now_ns = 0;
+  std::int64_t ahead_ns = 0;    // by which the stamps of motions are ahead of now_ns
+  double turn = 0.0;            // [rad] motions are taken whole turns away; 0 for none
+  double lost_turn = 0.0;       // [rad] the first one that is under way, too
+  double takeover_time = 0.0;   // [s]
+  double fastest = kInfinite;   // [rad/s] the joint's velocity limit
+  double low = -kInfinite;      // [rad] its stops, of turns more
+  double high = kInfinite;
+  double turns = 0.0;           // [rad] what the loop adds to the reference
+};
+
+/// Makes the reference of each cycle of a sequence of messages; its rules, sum by sum, are those of
+/// hpid_ros.control.following.Following, where they are told.
 class Follower
 {
 public:
-  /// Begins anew, at a position.
+  static constexpr std::size_t kMost = 64;  // motions that wait for their beginning
+
+  /// Begins again, at a position.
   void stand(double position);
 
-  /// Holds a position.
+  /// Holds a position, and forgets what waits.
   void hold(double position);
 
-  /// Follows a motion from this instant on. It is shifted by whole turns so that it begins nearest:
-  /// of `turn` [rad], 0 for none; the first one that is under way of `lost_turn`, as the turns until
-  /// now were not counted. `here` is the reference by sample(). Its stamp is of a clock that is
-  /// ahead of now_ns. The motion must stay where it is.
-  void follow(
-    const Motion & motion, std::int64_t now_ns, std::int64_t ahead_ns, const Reference & here,
-    double turn, double lost_turn, double takeover_time);
+  /// Takes a motion that came, to begin when its time has come. It must stay where it is for as
+  /// long as uses() says so.
+  void receive(const Motion & motion, const Terms & terms);
 
-  Reference sample(std::int64_t stamp_ns);
+  /// Returns whether a motion is followed, or waits.
+  bool uses(const Motion & motion) const;
+
+  Reference sample(const Terms & terms);
 
 private:
+  struct Waiting
+  {
+    const Motion * motion = nullptr;
+    std::int64_t begin_ns = 0;
+    bool is_at_once = false;
+    bool was_in_time = false;  // it came in an earlier cycle than it begins
+  };
+
+  struct Offset  // a difference of positions that fades by a quintic
+  {
+    bool is_there = false;
+    double position = 0.0, velocity = 0.0, acceleration = 0.0;
+    std::int64_t begin_ns = 0, end_ns = 0;
+
+    std::array<double, 3> sample(std::int64_t stamp_ns) const;
+  };
+
+  struct Glide  // from rest at a position onto whatever the motion is
+  {
+    bool is_there = false;
+    double position = 0.0;
+    std::int64_t begin_ns = 0, end_ns = 0;
+    double duration = 0.0;
+  };
+
+  struct Here  // where the reference stands when another motion begins
+  {
+    double position, velocity;
+    double motion, joined;
+    std::array<double, 3> offset;
+    bool has_offset;  // else it is held back
+    std::int64_t offset_end_ns, glide_end_ns;
+    bool is_running, has_ended;
+    Pace pace;
+    double turns;
+  };
+
+  void rest(double position);
+  void begin(const Motion & motion, const Terms & terms);
+  Here here(const Terms & terms);
+  void glide_onto(const Here & here, const Terms & terms);
+  void go_on(const Here & here, const Terms & terms);
+  void glide_as_it_moves(const Here & here, const Reference & onto, double length, std::int64_t);
+  void fade_jump(const Here & here, double jump, double length, std::int64_t now_ns);
+  void approach(const Here & here, const Terms & terms);
+
+  Reference at(std::int64_t stamp_ns);
+  Reference joined(std::int64_t stamp_ns);
   Reference on_motion(std::int64_t stamp_ns);
+  std::int64_t end_ns() const;
   void enter(std::int64_t stamp_ns);
   void set_segment(const Knot & left, const Knot & right);
+  static std::int64_t begin_of(const Waiting & waiting, std::int64_t now_ns);
 
-  const Motion * motion_ = nullptr;  // none: holds offset_
+  std::array<Waiting, kMost> waiting_;
+  std::size_t count_ = 0;  // of those that wait
+
+  const Motion * motion_ = nullptr;  // none: holds turns_
   std::int64_t start_ns_ = 0;
-  Knot before_;  // where the reference stood when the motion was taken up
+  Knot before_;  // where the way to the first point begins
   bool has_before_ = false;
   bool is_first_ = true;
-  double offset_ = 0.0;  // [rad] added to the motion
+  double turns_ = 0.0;  // [rad] added to the motion
 
   std::int64_t from_ns_ = 0;  // the segment that the coefficients are of
   std::int64_t to_ns_ = 0;
   double c_[6] = {};
 
-  bool is_gliding_ = false;
-  std::int64_t glide_ns_ = 0;   // its beginning
-  double glide_duration_ = 0.0;  // [s]
-  double away_ = 0.0;            // [rad] at its beginning, from the motion
-  double carried_ = 0.0;         // difference of velocities times duration [rad]
+  Glide glide_;
+  Offset offset_;
+  double lowest_ = -kInfinite;  // [rad] where motion and offset may lead
+  double highest_ = kInfinite;
 };
 
 }  // namespace {{ package }}
