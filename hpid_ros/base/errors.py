@@ -39,6 +39,10 @@ class TrajectoryError(HpidError, ValueError):
     """A reference trajectory that cannot be followed."""
 
 
+class EndedError(TrajectoryError):
+    """A reference trajectory that has ended in the past."""
+
+
 class RobotDescriptionError(HpidError, ValueError):
     """A URDF that cannot be read, or that lacks something that was asked of it."""
 

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from hpid_ros.base.errors import SettingError
-from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.base.errors import EndedError, SettingError, TrajectoryError
+from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.control.assembly import (
     feedforward_gains,
     largest_step,
@@ -20,7 +20,15 @@ from hpid_ros.control.homogeneous_pid import Terms
 from hpid_ros.control.limited_law import LimitedLaw
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, relay_obstacle
-from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Motion, Setpoint
+from hpid_ros.control.reference import (
+    GRACE_NS,
+    LARGEST_POSITION,
+    LONGEST_WAIT,
+    Feedforward,
+    Motion,
+    Setpoint,
+    require_timely,
+)
 from hpid_ros.control.settings import LoopSettings
 
 
@@ -92,6 +100,8 @@ class JointLoop:
         self.counts = LoopCounts()
         self.last_fault = ""
         """What was last wrong with a state."""
+        self.dropped = ""
+        """Why the clock of the states ended the last motion that it has ended."""
         self.relay: Relay | None = None
         """The last relay that there was, for what became of it."""
         self.error = 0.0
@@ -122,16 +132,46 @@ class JointLoop:
         self.end_relay("a reference came")
         self._following.follow(motion)
 
-    def receive(self, motion: Motion) -> None:
+    def receive(self, motion: Motion, *, carries_on: bool = False) -> None:
         """Follow a motion that was received from outside.
 
         A setpoint that comes before the first state is glided onto, it is no step.
 
         Args:
             motion: As of :meth:`follow`.
+            carries_on: Whether it may have ended: the latched one of a controller that begins.
+
+        Raises:
+            TrajectoryError: By the stamps of the states it has ended, or it starts too far ahead.
         """
+        try:
+            self._require_timely(motion)
+        except EndedError:
+            if not carries_on:
+                raise
         self.follow(motion)
         self._following.has_waited = self.stamp_ns is None and isinstance(motion, Setpoint)
+
+    def _require_timely(self, motion: Motion) -> None:
+        """Refuse a motion of another time; a stamp that is not believed yet may tell it, too."""
+        window_ns = motion.window_ns
+        if window_ns is None or self.stamp_ns is None:
+            return
+        try:
+            require_timely("the trajectory", window_ns, self.stamp_ns, GRACE_NS)
+        except TrajectoryError:
+            if self._refused_ns is None:
+                raise
+            require_timely("the trajectory", window_ns, self._refused_ns, GRACE_NS)
+
+    def _drop_motion_after(self, stamp_ns: int, lead: float) -> None:
+        """Forget a motion that starts later after an instant than some time in [s]."""
+        motion = self._following.motion
+        window_ns = None if motion is None else motion.window_ns
+        if window_ns is not None and window_ns[0] > stamp_ns + lead * NANOSECONDS:
+            ahead = (window_ns[0] - stamp_ns) * SECONDS_PER_NANOSECOND
+            self.dropped = f"the trajectory starts {ahead:.6g} s after the first state"
+            self._following.follow(None)
 
     def begin_relay(self, request: RelayRequest) -> None:
         """Let a relay drive the joint for some cycles, around where it is held.
@@ -373,7 +413,7 @@ class JointLoop:
         if is_odd and not self._has_come_before(stamp_ns):
             return self._pass_over(stamp_ns, dt)
         if not is_next:
-            self._interrupt(dt)
+            self._interrupt(stamp_ns, dt)
         if self._unwrapper is not None:
             position = self._unwrapper.update(position)
             if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
@@ -515,12 +555,17 @@ class JointLoop:
         self._law.override_effort(self.settings.effort.fallback)
         return self._law.effort
 
-    def _interrupt(self, dt: float) -> None:
-        """Reset after a simulated clock that went back; else be due for a takeover."""
+    def _interrupt(self, stamp_ns: int, dt: float) -> None:
+        """Reset after a simulated clock that went back; else be due for a takeover.
+
+        A motion that the new clock has yet to reach is of the time before: it would begin when
+        nobody expects it any more.
+        """
         if dt < 0.0:
             self.last_fault = f"the stamp went back by {-dt:g} s"
             self.counts.resets += 1
             if self._timing.is_simulated:
+                self._drop_motion_after(stamp_ns, self._timing.state_timeout)
                 self.reset()
                 return
             self._following.end_timed_motion()
@@ -591,6 +636,7 @@ class JointLoop:
         if law.limits is not None:
             law.limits.open(position)
         if not is_takeover:
+            self._drop_motion_after(stamp_ns, LONGEST_WAIT)
             following.stand(position)
             return False
         if law.relay is not None:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 
-from hpid_ros.base.errors import SettingError
-from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.base.errors import EndedError, SettingError, TrajectoryError
+from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 
 
 class FeedforwardGains(NamedTuple):
@@ -153,8 +153,42 @@ class Pace(NamedTuple):
         return self.lowest > -math.inf
 
 
+LONGEST_WAIT = 3600
+"""A trajectory may start so much later than the newest state, in [s]."""
+
+GRACE_NS = NANOSECONDS
+"""A trajectory on a topic may have ended so long ago: in a stream some come late, in [ns]."""
+
+
+def require_timely(what: str, window_ns: tuple[int, int], now_ns: int, late_ns: int = 0) -> None:
+    """Refuse what has ended by the clock of the states, or starts too far ahead of it.
+
+    Source: ``ros2_controllers``, ``joint_trajectory_controller``, function
+    ``validate_trajectory_msg``, for what ends in the past.
+    """
+    start_ns, end_ns = window_ns
+    if end_ns + late_ns < now_ns:
+        raise EndedError(
+            f"{what} ended at {_seconds(end_ns)} s, in the past: the stamps of joint_states "
+            f"say {_seconds(now_ns)} s"
+        )
+    if start_ns > now_ns + LONGEST_WAIT * NANOSECONDS:
+        raise TrajectoryError(
+            f"{what} must start within {LONGEST_WAIT} s, not at {_seconds(start_ns)} s: the "
+            f"stamps of joint_states say {_seconds(now_ns)} s"
+        )
+
+
+def _seconds(instant_ns: int) -> str:
+    return f"{instant_ns / NANOSECONDS:.3f}"
+
+
 class Motion(Protocol):
     """What a loop can be told to do: it becomes a reference when the loop takes it over."""
+
+    @property
+    def window_ns(self) -> tuple[int, int] | None:
+        """Start and end on the control clock in [ns]; None if it begins with the next state."""
 
     @property
     def gives_effort(self) -> bool:
@@ -193,6 +227,7 @@ class Setpoint:
     goes_by_time: ClassVar[bool] = False
     begin_ns: ClassVar[int] = 0
     end_ns: ClassVar[int] = 0
+    window_ns: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         if not -LARGEST_POSITION <= self.position <= LARGEST_POSITION:

@@ -63,6 +63,13 @@ class Column:
     stamp_ns: int = 0  # [ns] when the trajectory starts; 0 means with the next state
     goes_by_time: ClassVar[bool] = True
 
+    @property
+    def window_ns(self) -> tuple[int, int] | None:
+        """Start and end on the control clock in [ns]; None if it begins with the next state."""
+        if not self.stamp_ns:
+            return None
+        return self.stamp_ns, self.stamp_ns + self.knots[-1].time_ns
+
     @cached_property
     def gives_effort(self) -> bool:
         """Whether every knot has an effort; those of some are not used."""

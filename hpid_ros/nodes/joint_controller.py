@@ -61,6 +61,7 @@ from hpid_ros.nodes.parts.references import (
 )
 
 _READINESS_PERIOD = 0.02  # [s]
+_LATCHED_WITHIN = 3.0  # [s] after the first state a trajectory from before comes, if one does
 _INACTIVE = "the controller is not active"
 
 
@@ -151,6 +152,7 @@ class JointController(ManagedNode):
         self._is_listening = self._is_timeout_reported = False
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
+        self._begun_at: float | None = None  # when the first state came since the activation
         steady_timer(self, self._health.period, self._report)
         self.add_on_set_parameters_callback(
             lambda changes: self._tuning.verdict(changes, self._certification.require)
@@ -219,6 +221,7 @@ class JointController(ManagedNode):
         """Drop the states, and any motion but one that is waited for."""
         self._watchdog.forget()
         self._is_timeout_reported = False
+        self._begun_at = None
         for timer in (self._watchdog_timer, self._readiness):
             if timer is not None:
                 self.destroy_timer(timer)
@@ -292,6 +295,7 @@ class JointController(ManagedNode):
         """Watch for a state timeout from the first state; a usable one completes the start."""
         self._watch_states(self._loop.settings.timing.state_timeout)
         if self._loop.stamp_ns is not None:
+            self._begun_at = time.monotonic()
             self.destroy_timer(self._readiness)
             self._readiness = None
             self._health.begun()
@@ -325,8 +329,12 @@ class JointController(ManagedNode):
         self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} {unit}")
         self._report()
 
-    def _follow(self, motion: Motion) -> None:
-        self._loop.receive(motion)
+    def _follow(self, motion: Motion, is_latched: bool) -> None:
+        begun_at = self._begun_at
+        has_just_begun = begun_at is None or time.monotonic() - begun_at < _LATCHED_WITHIN
+        carries_on = is_latched and has_just_begun and not self._loop.has_motion
+        self._loop.receive(motion, carries_on=carries_on)
+        self._health.accepted_reference()
 
     def _relay(self, request: RelayRequest | None) -> None:
         if request is None:

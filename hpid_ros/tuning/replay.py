@@ -9,6 +9,7 @@ proof, whatever was assumed; one that does not shows where the last possibility 
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 from bisect import bisect_left, bisect_right
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
 
-from hpid_ros.base.errors import HpidError
+from hpid_ros.base.errors import HpidError, TrajectoryError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
@@ -58,8 +59,13 @@ class Instruction(NamedTuple):
 
 
 def following(motion: Motion) -> Callable[[JointLoop], None]:
-    """Return what has a loop follow a motion."""
-    return lambda loop: loop.receive(motion)
+    """Return what has a loop follow a motion, where the controller did not refuse it."""
+
+    def follow(loop: JointLoop) -> None:
+        with contextlib.suppress(TrajectoryError):
+            loop.receive(motion, carries_on=not loop.has_motion)
+
+    return follow
 
 
 def retuned(change: Callable[[LoopSettings], LoopSettings]) -> Callable[[JointLoop], None]:
@@ -86,6 +92,7 @@ class AskedReference:
     gives_effort = goes_by_time = False
     begin_ns = end_ns = 0
     pace = Pace()  # nobody knows where it will lead
+    window_ns = None
 
     def start(self, now_ns: int, position: float | None, velocity: float) -> AskedReference:
         return self

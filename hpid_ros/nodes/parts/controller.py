@@ -293,6 +293,7 @@ class LoopTiming:
 
 _NO_LIMIT = 1e6  # as the parameters say it
 _MANY_MISSED = 0.5  # of the states of a report
+_REFUSAL_REPORTS = 30  # in which a reference that was refused is named, if no good one comes
 
 _ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT)
 
@@ -317,7 +318,8 @@ class ControllerHealth(Diagnostics):
         self._is_slide = is_slide
         self._certification, self._timing = certification, timing
         self.foreign = self.misread = 0
-        self._references = 0
+        self._references = self._refusal_reports = 0
+        self._refusal = ""
         self._missed = self._held = 0
         self.scheduling = ""
 
@@ -352,7 +354,20 @@ class ControllerHealth(Diagnostics):
 
     def refused_reference(self, line: str) -> None:
         self._references += 1
-        self.fault(f"reference refused: {line}")
+        self._refusal, self._refusal_reports = f"reference refused: {line}", _REFUSAL_REPORTS
+        self.fault(self._refusal)
+
+    def accepted_reference(self) -> None:
+        """Warn no more of one that was refused."""
+        self._refusal = ""
+
+    def _refused(self) -> str:
+        """Return the last reference that was refused, for some reports."""
+        if self._loop.dropped:
+            self.refused_reference(self._loop.dropped)
+            self._loop.dropped = ""
+        self._refusal_reports -= 1
+        return self._refusal if self._refusal_reports >= 0 else ""
 
     def relay_begins(self, request: RelayRequest) -> None:
         self._node.get_logger().info(
@@ -371,8 +386,11 @@ class ControllerHealth(Diagnostics):
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK
-        recent = self._slowness(), self._model_fault()  # each counts from its last call
-        warning = self._certification.warning or loop.velocity_warning or recent[0] or recent[1]
+        # each counts from its last call
+        recent = self._refused(), self._slowness(), self._model_fault()
+        warning = (
+            self._certification.warning or loop.velocity_warning or next(filter(None, recent), "")
+        )
         if not is_active:
             message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
         elif loop.state in _ON_FALLBACK:

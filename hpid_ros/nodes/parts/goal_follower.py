@@ -18,9 +18,15 @@ from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
+from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.control.following import Following
-from hpid_ros.control.reference import LARGEST_POSITION, whole_turns
+from hpid_ros.control.reference import (
+    GRACE_NS,
+    LARGEST_POSITION,
+    require_timely,
+    whole_turns,
+)
 from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.messages.joint_state import JointPart
 from hpid_ros.motion.joint_trajectory import Column, Knot, checked_column
@@ -260,14 +266,22 @@ class GoalFollower:
             return self._abort(reason)
         return Outcome(None, self._stop({at: [Knot(0, self._newest(at), 0.0)] for at in seen}))
 
-    def yield_joints(self, joints: Collection[str]) -> Outcome:
+    def yield_joints(
+        self, joints: Collection[str], window_ns: tuple[int, int] | None = None
+    ) -> Outcome:
         """End the active goal because another node has sent its joints a trajectory.
 
+        One that has ended, or starts too far ahead, is refused by controllers, and ends nothing.
         A joint follows the newest trajectory. So those joints are left alone, and the others stop.
         Without a goal, those that would have been stopped with the next state are not.
         Where two trajectories were sent at once, each controller may have received them in
         another order: all joints of this group stop.
         """
+        if window_ns is not None and self.now_ns is not None:
+            try:
+                require_timely("the trajectory", window_ns, self.now_ns, GRACE_NS)
+            except TrajectoryError:
+                return Outcome(None, None)
         others = {at: joint for at, joint in enumerate(self._joints) if joint.name in joints}
         self._held_late -= others.keys()
         if self._active is None and len(others) == len(self._joints):

@@ -101,7 +101,7 @@ class GroupTopics:
     def _others(self, endpoints: Iterable[TopicEndpointInfo]) -> set[str]:
         return set(map(full_name, endpoints)) - {self._node.get_fully_qualified_name()}
 
-    def _on_trajectory(self, raw: bytes) -> None:
+    def _on_trajectory(self, raw: bytes, is_latched: bool) -> None:
         if raw in self._own:
             return
         names, own = named_joints(raw), self._follower.settings.joints
@@ -115,12 +115,13 @@ class GroupTopics:
         if isinstance(decoded, Exception):
             return  # no controller follows what cannot be read
         with contextlib.suppress(HpidError):
-            if column_of(decoded, named[0]) is not None:
-                self._node.hand_over(self._yield, sent, named)
+            column = column_of(decoded, named[0])
+            if column is not None:
+                self._node.hand_over(self._yield, sent, named, column.window_ns)
 
-    def _yield(self, sent: int, named: Sequence[str]) -> None:
+    def _yield(self, sent: int, named: Sequence[str], window_ns: tuple[int, int] | None) -> None:
         if sent == self._sent:  # else controllers have been sent something newer since
-            self._act(self._follower.yield_joints(named))
+            self._act(self._follower.yield_joints(named, window_ns))
 
     def _on_state(self, raw: bytes) -> None:
         self._wake()

@@ -17,10 +17,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import HpidError, SettingError, TrajectoryError, unknown_name
+from hpid_ros.base.errors import (
+    EndedError,
+    HpidError,
+    SettingError,
+    TrajectoryError,
+    unknown_name,
+)
 from hpid_ros.base.records import ParameterSpec, Record, from_parameters, parameters_of, quantity
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
-from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.control.reference import LARGEST_POSITION, require_timely
 from hpid_ros.control.settings import StateClock, Value
 from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS, decode_trajectory
 from hpid_ros.motion.joint_trajectory import Column, Integers, Knot, PointArrays, checked_column
@@ -299,7 +305,6 @@ def _of_joint(joint: str, values: Mapping[str, Value]) -> JointParameters:
 _EFFORTS = PointArrays._fields.index("efforts")
 _AT_REST = 1.2e-7  # [rad/s, m/s], float32's epsilon, as JTC takes it
 _ROUNDED = 1e-6  # [rad, m]; limits are written with few digits, and planned with more
-_WAITS_AT_MOST = 3600  # [s] for the start of a goal
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,24 +387,14 @@ class GoalRequest:
         if self.stamp_ns == 0:
             # One nanosecond ago: for every controller it is under way, whichever state it is at.
             return max(now_ns - 1, 1)
-        end_ns = self.stamp_ns + int(self.times_ns[-1])
-        if end_ns < now_ns:
-            raise GoalError(
-                f"the goal ended at {_seconds(end_ns)} s, in the past: the stamps of joint_states "
-                f"say {_seconds(now_ns)} s",
-                ResultCode.OLD_HEADER_TIMESTAMP,
-            )
-        if self.stamp_ns > now_ns + _WAITS_AT_MOST * NANOSECONDS:
-            raise GoalError(
-                f"the goal must start within {_WAITS_AT_MOST} s, not at "
-                f"{_seconds(self.stamp_ns)} s: the stamps of joint_states say "
-                f"{_seconds(now_ns)} s"
-            )
+        window_ns = self.stamp_ns, self.stamp_ns + int(self.times_ns[-1])
+        try:
+            require_timely("the goal", window_ns, now_ns)
+        except EndedError as error:
+            raise GoalError(str(error), ResultCode.OLD_HEADER_TIMESTAMP) from None
+        except TrajectoryError as error:
+            raise GoalError(str(error)) from None
         return self.stamp_ns
-
-
-def _seconds(instant_ns: int) -> str:
-    return f"{instant_ns / NANOSECONDS:.3f}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,8 +56,8 @@ class TrajectorySubscriptions:
     once.
     """
 
-    def __init__(self, node: Node, take: Callable[[bytes], None]) -> None:
-        self._take = take
+    def __init__(self, node: Node, take: Callable[[bytes, bool], None]) -> None:
+        self._take = take  # with whether it is latched: it may be from before the subscription
         self._taken: tuple[bool, bytes] | None = None
         self._taken_at = -math.inf
         # Only the contract's profile may be overridden: both would have the same parameters.
@@ -86,7 +86,7 @@ class TrajectorySubscriptions:
             self._taken = None  # its second copy; the next one is meant
             return
         self._taken, self._taken_at = (is_latched, raw), now
-        self._take(raw)
+        self._take(raw, is_latched)
 
 
 Decoded = TrajectoryArrays | Exception
@@ -146,7 +146,7 @@ class ControllerReferences:
         self,
         node: ClosingNode,
         joint: str,
-        follow: Callable[[Motion], None],
+        follow: Callable[[Motion, bool], None],  # with whether it is a latched trajectory
         relay: Callable[[RelayRequest | None], None],
         refuse: Callable[[str], None],
         reason_against: Callable[[], str],
@@ -174,24 +174,32 @@ class ControllerReferences:
             self._node.destroy_subscription(each)
         self._subscriptions = []
 
-    def _on_trajectory(self, raw: bytes) -> None:
+    def _on_trajectory(self, raw: bytes, is_latched: bool) -> None:
         names = named_joints(raw)
         if names is not None and self._joint not in names:
             return  # what others follow, as what nobody can read, replaces nothing that waits
         self._arrived += 1
-        take = partial(self._decoded, self._arrived, self._reason_against())
+        take = partial(self._decoded, self._arrived, self._reason_against(), is_latched)
         reference_decoder().decode((self, names is None), raw, take)
 
-    def _decoded(self, number: int, reason_against: str, decoded: Decoded) -> None:
+    def _decoded(
+        self, number: int, reason_against: str, is_latched: bool, decoded: Decoded
+    ) -> None:
         """Take the joint's own column on the decoder's thread, and hand it to the executor's."""
         found: Motion | Exception | None
         try:
             found = decoded if isinstance(decoded, Exception) else column_of(decoded, self._joint)
         except Exception as error:
             found = error
-        self._node.hand_over(self._take, number, reason_against, found)
+        self._node.hand_over(self._take, number, reason_against, found, is_latched)
 
-    def _take(self, number: int, reason_against: str, found: Motion | Exception | None) -> None:
+    def _take(
+        self,
+        number: int,
+        reason_against: str,
+        found: Motion | Exception | None,
+        is_latched: bool = False,
+    ) -> None:
         if number <= self._discarded or found is None:
             return
         if isinstance(found, HpidError):
@@ -201,8 +209,12 @@ class ControllerReferences:
         elif reason_against:
             self._refuse(reason_against)
         elif number > self._followed:
-            self._followed = number
-            self._follow(found)
+            try:
+                self._follow(found, is_latched)
+            except HpidError as error:
+                self._refuse(str(error))
+            else:
+                self._followed = number
 
     def _on_setpoint(self, raw: bytes) -> None:
         self._arrived += 1

@@ -118,7 +118,7 @@ def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
         def create_subscription(self, kind, topic, callback, *rest, **options):
             callbacks.append(callback)
 
-    TrajectorySubscriptions(Node(), taken.append)
+    TrajectorySubscriptions(Node(), lambda raw, is_latched: taken.append(raw))
     latched, volatile = callbacks
     first, second = (JointTrajectory(joint_names=[name]) for name in ("elbow", "wrist"))
     for receive, message in (
@@ -135,7 +135,7 @@ def test_a_trajectory_that_comes_again_later_is_another_one(monkeypatch):
     """A late joiner had the latched one, and somebody sends the same with a volatile publisher."""
     taken, now = [], [0.0]
     monkeypatch.setattr(controller_references.time, "monotonic", lambda: now[0])
-    subscriptions = TrajectorySubscriptions(MagicMock(), taken.append)
+    subscriptions = TrajectorySubscriptions(MagicMock(), lambda raw, is_latched: taken.append(raw))
     for is_latched, later in ((True, 0.0), (False, 0.1), (True, 5.0), (False, 5.0)):
         now[0] += later
         subscriptions._on_message(is_latched, b"home")
@@ -197,7 +197,7 @@ def test_where_nobody_reads_errors_the_process_ends_all_the_same(monkeypatch):
 
 def test_a_warning_of_the_last_report_is_of_that_alone_also_behind_another_one():
     certification, loop = MagicMock(warning="not certified"), MagicMock()
-    loop.counts.missed, loop.velocity_warning, loop.relay = 0, "", None
+    loop.counts.missed, loop.velocity_warning, loop.relay, loop.dropped = 0, "", None, ""
     loop.settings.timing.control_period, loop.state = 0.001, LoopState.HOLDING
     health = ControllerHealth(MagicMock(), loop, certification, SimpleNamespace(recent=dict))
     health.publish = MagicMock()
@@ -250,7 +250,7 @@ class Listener:
         self.references = ControllerReferences(
             self,
             "elbow",
-            self.followed.append,
+            lambda motion, is_latched: self.followed.append(motion),
             lambda relay: None,
             self.refused.append,
             lambda: self.reason,
