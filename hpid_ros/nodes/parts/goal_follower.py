@@ -171,6 +171,7 @@ class _ActiveGoal(NamedTuple):
 
 
 _SETTLES_WITHIN = 0.5  # [s] after takeover_time, for a controller to follow what it was sent
+_WALL_GAP, _SIMULATED_GAP = 1.5, 10.0  # [s] that lost states explain, more in a fast simulation
 _CROSSES_WITHIN_NS = NANOSECONDS // 10  # for messages of two senders to arrive in either order
 
 CANCELLED = Result(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")
@@ -206,6 +207,7 @@ class GoalFollower:
         self._held_since_ns: int | None = None
         self._late_until_ns = 0
         self._missed = _Overdue()
+        self._ahead: set[int] = set()  # joints whose last state was too far ahead
 
     @property
     def is_active(self) -> bool:
@@ -317,19 +319,52 @@ class GoalFollower:
 
     def take_state(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
         """Take the joints of one state."""
+        if not parts:
+            return None
         stamps_ns = [self._joints[part.joint].stamp_ns for part in parts]
         if any(before_ns is not None and stamp_ns < before_ns for before_ns in stamps_ns):
             return self._restart(stamp_ns, parts)
+        line = ""
+        if self._is_ahead(stamp_ns):
+            line = self._believe_jump(stamp_ns, parts[0].joint)
+            if not line:
+                return None
+        elif self._ahead:
+            self._ahead.discard(parts[0].joint)
         taken = self._take(stamp_ns, parts)
         if not taken:
             return None
         self._silence = 0.0
+        if line and self._active is not None:
+            # By the new clock the trajectory is elsewhere, or over: where it was no joint knows.
+            self._active = None
+            self._hold_later()
+            held = self._hold()
+            trajectory = None if held is None else held.trajectory
+            return Outcome(Result(ResultCode.INVALID_GOAL, line), trajectory)
         if self._late_by:
             self._late_until_ns = stamp_ns + round(self._late_by * NANOSECONDS)
             self._late_by = 0.0
         if self._held_late:
             return self._hold()
         return None if self._active is None else self._look(self._active, stamp_ns, taken)
+
+    def _is_ahead(self, stamp_ns: int) -> bool:
+        """Tell whether a stamp is further from the newest one than any pause explains."""
+        if self.now_ns is None or self._late_by:
+            return False
+        gap = _SIMULATED_GAP if self.settings.fixed.state_clock == "simulated" else _WALL_GAP
+        gap_ns = max(round(gap * NANOSECONDS), self._state_timeout_ns)
+        return stamp_ns > max(self.now_ns, self._late_until_ns) + gap_ns
+
+    def _believe_jump(self, stamp_ns: int, joint: int) -> str:
+        """Return a line about a clock that has jumped ahead; a single stamp may be wrong."""
+        if joint not in self._ahead:
+            self._ahead.add(joint)
+            return ""
+        self._ahead.clear()
+        ahead = (stamp_ns - self._now()) / NANOSECONDS
+        return f"the clock of the states jumped ahead by {ahead:.3g} s"
 
     def take_reference(self, at: int, stamp_ns: int, position: float) -> Outcome | None:
         """Take a reference that a controller has published."""

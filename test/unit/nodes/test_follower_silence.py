@@ -160,6 +160,55 @@ def test_a_clock_that_goes_back_aborts_the_goal_and_moves_nothing():
     assert group.position == pytest.approx([0.0, 0.0], abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("ahead", "state_clock"),
+    [(2.0, "wall"), (3600.0, "wall"), (1e8, "wall"), (20.0, "simulated")],
+)
+def test_a_clock_that_jumps_ahead_aborts_the_goal_and_stops_the_joints_where_they_are(
+    ahead, state_clock
+):
+    """By the new clock the goal is over: they were led to its end, faster than it was planned."""
+    group = started(start_ns=50 * SECOND, state_clock=state_clock)
+    group.run(0.5)
+    there, speeds = [*group.position], [abs(each) for each in group.velocity]
+    before = len(group.log[0])
+    group.stamp_ns += round(ahead * SECOND)
+    group.run(3.0)
+    (result,) = group.results
+    assert result.code is ResultCode.INVALID_GOAL
+    assert f"clock of the states jumped ahead by {ahead:.3g} s" in result.text
+    for joint, place in enumerate(there):
+        _, _, _, position, _ = group.logged(joint)
+        assert max(abs(position[before:] - place)) < 0.4 * speeds[joint] + 0.01
+        assert group.loops[joint].reference == (
+            pytest.approx(group.position[joint], abs=0.01),
+            0.0,
+        )
+    group.begin(moving())
+    group.run(2.0, until=lambda: len(group.results) > 1)
+    assert group.results[1].code is ResultCode.SUCCESSFUL
+
+
+def test_a_single_stamp_from_the_future_ends_no_goal():
+    group = started(start_ns=50 * SECOND)
+    group.run(0.5)
+    right_ns = group.stamp_ns
+    group.note(group.follower.take_state(right_ns + 3600 * SECOND, [JointPart(0, 0.3, 0.0)]))
+    group.run(2.0, until=lambda: group.results)
+    assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
+
+
+def test_a_process_that_stood_still_has_seen_no_clock_jump():
+    group = started(start_ns=50 * SECOND)
+    group.run(0.3)
+    group.seen = lambda parts: []
+    group.run(3.0)
+    group.follower.allow_late(3.0)
+    del group.seen
+    group.run(1.0, until=lambda: group.results)
+    assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
+
+
 def test_a_joint_that_is_missing_from_the_states_aborts_the_goal():
     group = started()
     group.run(0.3)
