@@ -18,7 +18,17 @@ _SHORTEST_PERIOD = 1e-3  # [s] between two looks
 LATE_NS = 10_000_000
 """By no more than this a state may be later than those before a silence, in [ns]."""
 _PACE, _SEEN_NS = 1.5, 50_000_000  # states that were waiting come faster, seen for so long
+_MANY_REPEATS = 3  # of one state; one may be asked for again
 _WAITED_NS = 1_000_000_000  # after so long no state is one that waited
+
+
+def standing_stamps(stamp_ns: int, repeats: int) -> str:
+    """Say of states that come again and again with one stamp what is wrong with them."""
+    if repeats < _MANY_REPEATS:
+        return ""
+    if stamp_ns == 0:
+        return "the stamps of joint_states are 0: their driver has to stamp them"
+    return f"the stamps of joint_states stand still at {stamp_ns / NANOSECONDS:.3f} s"
 
 
 class StateTimeout(NamedTuple):
@@ -62,6 +72,7 @@ class Watchdog:
         self.timeout = None
         self._wait: _Wait | None = None  # None before the first state
         self._stamp_ns: int | None = None
+        self._repeats = 0  # of the last stamp
 
     @property
     def period(self) -> float:
@@ -110,6 +121,13 @@ class Watchdog:
         is_due = wait is not None and wait.is_answered and not wait.is_noticed
         return self.look(now_ns) if is_due else None
 
+    def standstill(self, now_ns: int, least: float) -> str:
+        """Say that states have come for so long in [s] whose stamps stand still; else nothing."""
+        wait, stamp_ns = self._wait, self._stamp_ns
+        if wait is None or stamp_ns is None or wait.duration(now_ns) <= least:
+            return ""
+        return standing_stamps(stamp_ns, self._repeats)
+
     def observe(self, stamp_ns: int, now_ns: int) -> tuple[StateTimeout | None, bool]:
         """Take note of a state; one that repeats the last stamp is not new.
 
@@ -117,8 +135,10 @@ class Watchdog:
         which nobody gave another effort.
         """
         if stamp_ns == self._stamp_ns:
+            self._repeats += 1
             return None, False
         before, self._wait, self._stamp_ns = self._wait, _Wait(now_ns), stamp_ns
+        self._repeats = 0
         if self.timeout is None or before is None or before.is_noticed:
             return None, False
         if before.is_answered:

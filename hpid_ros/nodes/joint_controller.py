@@ -152,6 +152,7 @@ class JointController(ManagedNode):
         self._is_listening = self._is_timeout_reported = False
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
+        self._standstill = ""  # what is said of stamps that stand still
         self._begun_at: float | None = None  # when the first state came since the activation
         steady_timer(self, self._health.period, self._report)
         self.add_on_set_parameters_callback(
@@ -326,8 +327,15 @@ class JointController(ManagedNode):
         """Report a state timeout; :meth:`check` gives the effort, whatever this thread does."""
         self._is_timeout_reported = True
         unit = self._health.unit("N m")
-        self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} {unit}")
+        line = f"no new state for {silence:.3g} s: the effort is {effort:g} {unit}"
+        self._standstill = self._find_standstill()
+        self._health.fault(f"{line}; {self._standstill}" if self._standstill else line)
         self._report()
+
+    def _find_standstill(self) -> str:
+        """Return in words that states come whose stamps stand still; empty if they do not."""
+        timeout = self._loop.settings.timing.state_timeout
+        return self._watchdog.standstill(time.perf_counter_ns(), timeout)
 
     def _follow(self, motion: Motion, is_latched: bool) -> None:
         begun_at = self._begun_at
@@ -370,8 +378,12 @@ class JointController(ManagedNode):
         if self._is_timeout_reported and self._loop.state is not LoopState.SILENT:
             self._is_timeout_reported = False
             self.get_logger().info("states come again: the joint is controlled")
+        before, self._standstill = self._standstill, self._find_standstill()
+        if self._standstill and not before:
+            self._health.fault(self._standstill)
         waiting = "" if self._is_listening else self._waits_for()
-        self._health.report(self.lifecycle, waiting, self._claim.text, self._claim.refusal)
+        claim = self._claim
+        self._health.report(self.lifecycle, waiting, claim.text, claim.refusal, self._standstill)
 
     def begin_stop(self) -> Future | None:
         """Begin to leave the joint; the process goes on until that is done."""

@@ -54,6 +54,8 @@ class Barrier:
         self._past: tuple[int | None, list[float | None]] = None, []
         self._given: list[float | None] = [None] * len(self.joints)  # as they came
         self._missing: set[str] = set()  # of the present state; never also silent
+        self.unstamped: set[str] = set()
+        """Joints whose commands carry the stamp 0, and answer no state with it."""
         self.efforts = [0.0] * len(self.joints)
         """The answers to the present state in [N m]; zero where there is none."""
 
@@ -104,12 +106,15 @@ class Barrier:
         """Count an answer to another state than the present one."""
         counts.stale += 1
         self._late[name] += 1
+        if stamp_ns == 0:
+            self.unstamped.add(name)
         before_ns, given = self._past
         if stamp_ns == before_ns:
             counts.conflicting += _differ(given[self._index[name]], effort)
 
     def _accept(self, name: str, counts: AnswerCounts, effort: float) -> None:
         index = self._index[name]
+        self.unstamped.discard(name)
         if name in self._missing:
             self._missing.remove(name)
             counts.answered += 1

@@ -58,6 +58,7 @@ class Joints:
         self.effort = dict.fromkeys(joints, 0.0)
         self.alive = set(joints)  # whose commands each state waits for
         self.blocked, self.is_paused = set(), False
+        self.ahead = 0.0  # [s] of the stamps before what has passed
         self.references = {joint: [] for joint in joints}  # stamps [s], positions, velocities
         self._count, self._answers = 0, {}
         self._begun, self._asked = 0.0, 0.0
@@ -160,19 +161,23 @@ class Joints:
         self._count += 1
         self._publish()
 
+    def repeat(self):
+        """Publish the newest state once more."""
+        self._publish()
+
     def _publish(self):
         self._asked = time.monotonic()
         for publisher, names, template in self._publishers:
             publisher.publish(
                 template.encode(
-                    round(self._count * PERIOD * 1e9),
+                    round((self._count * PERIOD + self.ahead) * 1e9),
                     position=[self.position[name] for name in names],
                     velocity=[self.velocity[name] for name in names],
                 )
             )
 
     def _on_command(self, command):
-        count = round(command.stamp_ns * 1e-9 / PERIOD)
+        count = round((command.stamp_ns * 1e-9 - self.ahead) / PERIOD)
         self._answers.setdefault(count, {})[command.names[0]] = command.effort[0]
 
     def _on_reference(self, joint, raw):

@@ -383,7 +383,8 @@ class RobotBridge(executor.ClosingNode):
             return
         if waited > _LAST_LOOK * timeout:
             given_up = self._barrier.time_out()
-            self.get_logger().warning(f"no answer within {timeout} s: {', '.join(given_up)}")
+            line = f"no answer within {timeout} s: {', '.join(given_up)}{self._unstamped()}"
+            self.get_logger().warning(line)
             self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
             if not self._barrier.is_abandoned:
                 self._resume()
@@ -416,9 +417,15 @@ class RobotBridge(executor.ClosingNode):
             timing=self._timing.whole(),
         )
 
+    def _unstamped(self) -> str:
+        """Say whose commands come without the stamp of a state; empty if nobody's do."""
+        joints = ", ".join(sorted(self._barrier.unstamped))
+        return f"; the stamps of the commands for {joints} are 0" if joints else ""
+
     def _report(self) -> None:
         silent = self._barrier.silent
-        message = f"no answer from {', '.join(silent)}" if silent else "running"
+        unanswered = f"no answer from {', '.join(silent)}{self._unstamped()}"
+        message = unanswered if silent else "running"
         if self._simulation.is_paused:
             message = "paused"
         if not self._is_started:

@@ -28,6 +28,9 @@ class HeldCommands:
     missing: tuple[str, ...] = ()
     """Nobody is waited for."""
 
+    unstamped: frozenset[str] = frozenset()
+    """No command needs a stamp."""
+
     is_abandoned = False
     """Time goes on without answers."""
 

@@ -382,15 +382,16 @@ class ControllerHealth(Diagnostics):
         course = self.unit(relay.ending) or "under way"
         return f"{course}; {relay.cycles} cycles" + ("" if relay.is_over else "; in force")
 
-    def report(self, lifecycle: str, waiting: str, claim: str, refusal: str) -> None:
+    def report(
+        self, lifecycle: str, waiting: str, claim: str, refusal: str, standstill: str = ""
+    ) -> None:
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK
         # each counts from its last call
         recent = self._refused(), self._slowness(), self._model_fault()
-        warning = (
-            self._certification.warning or loop.velocity_warning or next(filter(None, recent), "")
-        )
+        warnings = standstill, self._certification.warning, loop.velocity_warning, *recent
+        warning = next(filter(None, warnings), "")
         if not is_active:
             message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
         elif loop.state in _ON_FALLBACK:

@@ -27,6 +27,7 @@ from hpid_ros.control.reference import (
     require_timely,
     whole_turns,
 )
+from hpid_ros.control.supervision import standing_stamps
 from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.messages.joint_state import JointPart
 from hpid_ros.motion.joint_trajectory import Column, Knot, checked_column
@@ -201,6 +202,7 @@ class GoalFollower:
         ]
         self._active: _ActiveGoal | None = None
         self._silence = 0.0  # [s] of the wall clock; 0 while states come
+        self._repeats = 0  # of states, since the last new one
         self._late_by = 0.0  # [s]; 0 while nothing is to be excused
         self._has_published = False
         self._held_late: set[int] = set()  # joints that are to be stopped once they have states
@@ -218,10 +220,18 @@ class GoalFollower:
         """Whether joints are yet to be stopped, once they have states."""
         return bool(self._held_late)
 
+    @property
+    def standstill(self) -> str:
+        """What is said of states whose stamps stand still; empty while they do not."""
+        if not self._silence or self.now_ns is None:
+            return ""
+        return standing_stamps(self.now_ns, self._repeats)
+
     def reason_against(self) -> str:
         """Return why no goal can be followed now; empty if one can be."""
         if self._silence:
-            return f"there has been no new state for {self._silence:.3g} s"
+            line = f"there has been no new state for {self._silence:.3g} s"
+            return f"{line}: {self.standstill}" if self.standstill else line
         return self._overdue().reason
 
     def begin(self, request: GoalRequest) -> Outcome:
@@ -307,6 +317,7 @@ class GoalFollower:
         self._active = None
         self._hold_later()
         line = f"there was no new state for {silence:.3g} s"
+        line = f"{line}: {self.standstill}" if self.standstill else line
         return Outcome(Result(ResultCode.INVALID_GOAL, line), None)
 
     def allow_late(self, stood: float) -> None:
@@ -334,7 +345,7 @@ class GoalFollower:
         taken = self._take(stamp_ns, parts)
         if not taken:
             return None
-        self._silence = 0.0
+        self._silence, self._repeats = 0.0, 0
         if line and self._active is not None:
             # By the new clock the trajectory is elsewhere, or over: where it was no joint knows.
             self._active = None
@@ -364,7 +375,7 @@ class GoalFollower:
             return ""
         self._ahead.clear()
         ahead = (stamp_ns - self._now()) / NANOSECONDS
-        return f"the clock of the states jumped ahead by {ahead:.3g} s"
+        return f"the clock of the states jumped ahead by {ahead:.6g} s"
 
     def take_reference(self, at: int, stamp_ns: int, position: float) -> Outcome | None:
         """Take a reference that a controller has published."""
@@ -409,7 +420,8 @@ class GoalFollower:
         for at, position, velocity in parts:
             joint = self._joints[at]
             if stamp_ns == joint.stamp_ns:
-                continue  # a repeat
+                self._repeats += 1
+                continue
             if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
                 self.unusable += 1
                 continue

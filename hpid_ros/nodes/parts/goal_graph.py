@@ -70,7 +70,7 @@ class GroupTopics:
         for number, (joint, topic) in enumerate(references.items()):
             take = partial(self._on_reference, number, JointReader(joint))
             node.create_subscription(JointState, topic, take, NEWEST_REFERENCE, raw=True)
-        self._silence, self._seen_ns = 0.0, follower.now_ns
+        self._silence, self._seen_ns, self._standstill = 0.0, follower.now_ns, ""
         self._looked_at = time.monotonic()
         self._look_period = follower.settings.fixed.state_timeout / _LOOKS
         steady_timer(node, self._look_period, self._look_for_states)
@@ -168,8 +168,11 @@ class GroupTopics:
         """Count for how long there has been no new state, while this process has run."""
         self._wake()
         if self._follower.now_ns != self._seen_ns:
-            self._seen_ns, self._silence = self._follower.now_ns, 0.0
+            self._seen_ns, self._silence, self._standstill = self._follower.now_ns, 0.0, ""
             return
         self._silence += self._look_period
         if self._silence > self._follower.settings.fixed.state_timeout:
             self._act(self._follower.note_timeout(self._silence))
+            before, self._standstill = self._standstill, self._follower.standstill
+            if self._standstill and not before:
+                self._fault(self._standstill)

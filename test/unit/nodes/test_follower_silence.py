@@ -176,7 +176,9 @@ def test_a_clock_that_jumps_ahead_aborts_the_goal_and_stops_the_joints_where_the
     group.run(3.0)
     (result,) = group.results
     assert result.code is ResultCode.INVALID_GOAL
-    assert f"clock of the states jumped ahead by {ahead:.3g} s" in result.text
+    line, _, jumped = result.text.removesuffix(" s").rpartition(" ")
+    assert line == "the clock of the states jumped ahead by"
+    assert float(jumped) == pytest.approx(ahead, abs=0.01)
     for joint, place in enumerate(there):
         _, _, _, position, _ = group.logged(joint)
         assert max(abs(position[before:] - place)) < 0.4 * speeds[joint] + 0.01

@@ -1,0 +1,158 @@
+"""Stamps of other clocks: trajectories, states and commands of a time that is not the joints'."""
+
+import pytest
+from builtin_interfaces.msg import Time
+from harness.goals import (
+    ABORTED,
+    GAINS,
+    Client,
+    Joints,
+    fill_trajectory,
+    goal_of,
+    needs_control_msgs,
+)
+from harness.graph import Told
+from trajectory_msgs.msg import JointTrajectory
+
+from hpid_ros.nodes.core.middleware import LATCHED, RARE
+
+MS, SECOND = 10**6, 10**9
+BEGIN_NS = 100 * SECOND
+STEP_NS = 5 * MS
+INVALID_GOAL = -1
+
+
+class Joint:
+    """A joint of inertia 1 and its controller, one state after the other."""
+
+    def __init__(self, harness, begin_ns=BEGIN_NS):
+        self.harness, self.stamp_ns = harness, begin_ns
+        self.position = self.velocity = self.fastest = 0.0
+        self.told = Told(harness)
+
+    def start(self, **parameters):
+        values = {"certify": False, "control_period": STEP_NS * 1e-9, **GAINS, **parameters}
+        return self.harness.start_controller(**values)
+
+    def run(self, seconds=None, until=None):
+        """Let states follow each other for a while, or until a condition holds."""
+        end_ns = self.stamp_ns + round((seconds or 60.0) * SECOND)
+        while self.stamp_ns < end_ns and not (until and until()):
+            effort = self.harness.ask(self.stamp_ns, self.position, self.velocity)
+            self.velocity += effort * STEP_NS * 1e-9
+            self.position += self.velocity * STEP_NS * 1e-9
+            self.fastest = max(self.fastest, abs(self.velocity))
+            self.stamp_ns += STEP_NS
+        assert until is None or until()
+
+    def publisher(self, profile=RARE):
+        """Return a publisher of trajectories that the controller listens to."""
+        node = self.harness.node
+        publisher = node.create_publisher(JointTrajectory, "joint_trajectory", profile)
+        least = 2 if profile is LATCHED else 1
+        self.run(until=lambda: publisher.get_subscription_count() >= least)
+        return publisher
+
+
+def trajectory(stamp_ns, position=2.0, seconds=2.0):
+    message = JointTrajectory()
+    fill_trajectory(message, {"elbow": [position]}, [seconds], {"elbow": [0.0]})
+    message.header.stamp = Time(sec=stamp_ns // SECOND, nanosec=stamp_ns % SECOND)
+    return message
+
+
+def test_a_trajectory_of_another_clock_is_refused_with_a_line_until_a_good_one_comes(harness):
+    joint = Joint(harness)
+    process = joint.start()
+    joint.run(0.1)
+    publisher = joint.publisher()
+    for number, (stamp_ns, line) in enumerate(
+        [
+            (SECOND, "the trajectory ended at 3.000 s, in the past"),
+            (1_795_900_133 * SECOND, "must start within 3600 s, not at 1795900133.000 s"),
+        ],
+        1,
+    ):
+        publisher.publish(trajectory(stamp_ns))
+        joint.run(until=lambda n=number: joint.told.says(refused_references=str(n)))
+        told = joint.told.newest()
+        assert (told["level"], line in told["message"]) == (b"\x01", True)
+    assert process.log.read_text().count("reference refused: the trajectory ended at 3.0") == 1
+    assert joint.fastest < 1e-3
+    publisher.publish(trajectory(joint.stamp_ns, 0.2, 0.5))
+    joint.run(until=lambda: joint.told.says(level=b"\x00", refused_references="2"))
+    joint.run(1.5)
+    assert joint.position == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_controller_that_begins_takes_up_what_is_latched_though_it_has_ended(harness):
+    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
+    publisher.publish(trajectory(SECOND, 0.3, 0.5))
+    joint = Joint(harness)
+    joint.start()
+    joint.run(until=lambda: abs(joint.position - 0.3) < 0.01)
+    joint.run(until=lambda: joint.told.says(level=b"\x00", refused_references="0"))
+    publisher.publish(trajectory(SECOND, 2.0))  # and once it follows something no more
+    joint.run(until=lambda: joint.told.says(level=b"\x01", refused_references="1"))
+    assert joint.position == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "line"),
+    [
+        (0, "the stamps of joint_states are 0: their driver has to stamp them"),
+        (BEGIN_NS, "the stamps of joint_states stand still at 100.000 s"),
+    ],
+)
+@pytest.mark.parametrize("is_watched", [True, False])
+def test_states_whose_stamps_stand_still_are_named_as_that(harness, stamp_ns, line, is_watched):
+    joint = Joint(harness)
+    process = joint.start(state_timeout=0.2, state_watchdog=is_watched)
+
+    def is_named():
+        harness.publish(stamp_ns, joint.position)
+        return line in joint.told.newest().get("message", "")
+
+    harness.wait(is_named, what="the report")
+    assert joint.told.newest()["level"] == (b"\x02" if is_watched else b"\x01")
+    assert process.log.read_text().count(line) == 1
+    joint.stamp_ns = stamp_ns + STEP_NS
+    joint.run(until=lambda: joint.told.says(level=b"\x00"))
+
+
+@needs_control_msgs
+def test_a_clock_that_jumps_ahead_in_a_goal_stops_the_joints_where_they_are(harness):
+    joints = Joints(harness)
+    joints.start()
+    client = Client(joints)
+    path = {"shoulder": [1.5], "elbow": [-1.5]}
+    handle = client.send(goal_of(path, [2.0], {name: [0.0] for name in path}))
+    joints.run(lambda: joints.position["shoulder"] > 0.3, what="the joints to move")
+    there = dict(joints.position)
+    joints.ahead = 3600.0
+    status, code, text = client.result(handle)
+    assert (status, code) == (ABORTED, INVALID_GOAL)
+    assert text.startswith("the clock of the states jumped ahead by 3600.")
+    joints.run_for(2.0)
+    assert joints.position == pytest.approx(there, abs=0.5)
+    assert max(map(abs, joints.velocity.values())) < 0.01
+
+
+@needs_control_msgs
+def test_a_goal_over_states_whose_stamps_stand_still_ends_with_that_reason(harness):
+    joints = Joints(harness)
+    joints.start(state_timeout=0.5)
+    client = Client(joints)
+    path = {"shoulder": [1.5], "elbow": [-1.5]}
+    handle = client.send(goal_of(path, [20.0], {name: [0.0] for name in path}))
+    joints.run_for(0.2)
+    joints.is_paused = True
+
+    def has_ended():
+        joints.repeat()
+        return handle.ended.done()
+
+    joints.run(has_ended, what="the result")
+    assert f": the stamps of joint_states stand still at {joints.now:.3f} s" in (
+        handle.ended.result().result.error_string
+    )
