@@ -235,6 +235,7 @@ def _readings(merger: CommandMerger) -> dict[str, object]:
         "silences": by_joint(lambda each: each.silences),
         "returns": by_joint(lambda each: each.returns),
         "commands not finite": by_joint(lambda each: each.invalid),
+        "commands from before a reset": by_joint(lambda each: each.outdated),
     }
 
 

@@ -15,6 +15,7 @@ class AnswerCounts:
     unanswered: int = 0  # states that it did not answer; the joint got no effort
     repeated: int = 0  # further answers to the same state
     stale: int = 0  # answers to another state than the present one
+    outdated: int = 0  # commands from before a reset, which do not act after it
     invalid: int = 0  # answers that were not finite; the joint got no effort
     excessive: int = 0  # answers beyond the joint's limit, which were held to it
     conflicting: int = 0  # answers to one state that differ: somebody else commands the joint, too

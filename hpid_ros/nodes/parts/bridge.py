@@ -462,6 +462,7 @@ def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
     return {
         "unanswered": sum(count.unanswered for count in each),
         "answers to earlier states": sum(count.stale for count in each),
+        "commands from before a reset": sum(count.outdated for count in each),
         "commands not finite": sum(count.invalid for count in each),
         "commands beyond the joint's limit": sum(count.excessive for count in each),
     }

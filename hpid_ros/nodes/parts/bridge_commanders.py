@@ -22,7 +22,8 @@ class HeldCommands:
 
     A command stands until the joint's next one, whichever state it answers, so that a late
     controller costs delay and not effort. A joint whose last command came too long ago gets no
-    effort: its controller is gone.
+    effort: its controller is gone. After a reset a command whose stamp is yet to come, and had
+    come before the reset, is from before it.
     """
 
     missing: tuple[str, ...] = ()
@@ -41,7 +42,7 @@ class HeldCommands:
         self.counts = {joint: AnswerCounts() for joint in self.joints}
         self.foreign = 0
         self._timeout_ns = timeout_ns
-        self._stamp_ns = 0
+        self._stamp_ns = self._before_ns = 0  # of the present state, and the newest before a reset
         self._held: dict[str, tuple[int, float]] = {}
         self._limits = limits or {}
         self._last: dict[str, tuple[int, float]] = {}  # stamp and effort, as they came
@@ -56,13 +57,19 @@ class HeldCommands:
         if stamp_ns < self._stamp_ns:
             self._held.clear()
             self._last.clear()
+            self._before_ns = max(self._before_ns, self._stamp_ns)
         self._stamp_ns = stamp_ns
 
     def answer(self, stamp_ns: int, names: Sequence[str], efforts: Sequence[float]) -> bool:
+        # One that answers no state has the stamp next to the last one that was answered.
+        is_outdated = self._stamp_ns + 1 < stamp_ns <= self._before_ns + 1
         for name, effort in zip(names, efforts, strict=True):
             counts = self.counts.get(name)
             if counts is None:
                 self.foreign += 1
+                continue
+            if is_outdated:
+                counts.outdated += 1
                 continue
             counts.answered += 1
             counts.stale += stamp_ns != self._stamp_ns

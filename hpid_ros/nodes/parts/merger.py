@@ -286,6 +286,8 @@ class JointCounts:
     silences: int = 0  # how often it fell silent
     returns: int = 0  # how often it came back
     invalid: int = 0  # its commands that were not finite; each counts as if it had not come
+    # commands from before a clock that went back, of a joint that was silent; as if not come, too
+    outdated: int = 0
     # commands that do not continue its last one: another source commands it, too
     conflicting: int = 0
 
@@ -339,6 +341,8 @@ class CommandMerger:
         self._forgiven: set[int] = set()
         self._silent = set(range(len(settings.joints)))
         self._fades: dict[int, _Fade] = {}
+        self._went_back: dict[int, int] = {}  # the newest stamp before, by joint
+        self._before_reset_ns = -1  # the newest stamp before the clock went back
         self._sent_ns: int | None = None
         self._promised_ns: int | None = None
 
@@ -365,6 +369,9 @@ class CommandMerger:
         if not math.isfinite(effort):
             counts.invalid += 1
             return None
+        if self._is_outdated(index, stamp_ns):
+            counts.outdated += 1
+            return None
         counts.commands += 1
         if not is_signed and index not in self._silent:
             last = self.rounds.stamps_ns[index] or 0, self._efforts[index]
@@ -378,6 +385,24 @@ class CommandMerger:
         if not self._may_send(now_ns):
             return None
         return self._finish(now_ns) if self.rounds.is_complete else None
+
+    def _is_outdated(self, index: int, stamp_ns: int) -> bool:
+        """Tell whether a joint that was silent over a reset says what it had to say before it.
+
+        A clock has gone back where a joint answers two states one after the other that lie more
+        than its timeout before those that it had answered.
+        """
+        before_ns, timeout_ns = self.rounds.stamps_ns[index], self._timeouts_ns[index]
+        if before_ns is not None and stamp_ns + timeout_ns < before_ns:
+            self._went_back[index] = before_ns
+        elif index in self._went_back:
+            newest_ns = self._went_back.pop(index)
+            if stamp_ns < newest_ns:
+                self._before_reset_ns = newest_ns
+        if index not in self._silent:
+            return False
+        newest_ns = self.rounds.stamp_ns or 0  # it may be the first that answers the next state
+        return newest_ns + timeout_ns < stamp_ns <= self._before_reset_ns + 1
 
     def flush(self, now_ns: int) -> Merged | None:
         """Return what has come and has not been sent, if anything, though answers are missing."""

@@ -100,6 +100,10 @@ def held_after(*acts):
         ((0, (0, 1.5), 100), 1.5, {}),
         ((0, (0, 1.5), 101), 0.0, {"unanswered": 1}),  # too old
         ((50, (50, 1.5), 0), 0.0, {}),  # a clock that goes back
+        ((50, 0, (50, 1.5)), 0.0, {"outdated": 1}),  # from before it, and late
+        ((50, 0, (0, 1.0), 1, (40, 1.5)), 1.0, {"outdated": 1}),
+        ((50, 0, 60, (50, 1.5)), 1.5, {"outdated": 0}),  # the clock has come there again
+        ((50, 0, (10**9, 1.5)), 1.5, {"outdated": 0}),  # who commands has a clock of its own
         ((0, (0, float("nan"))), 0.0, {"invalid": 1}),
     ],
 )

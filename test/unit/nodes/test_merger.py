@@ -309,6 +309,47 @@ def test_a_clock_that_goes_back_and_one_that_jumps_ahead_stop_nothing():
         assert robot.efforts == dict.fromkeys(NAMES, float(k))
 
 
+def over_a_reset():
+    """Return a robot whose wrist falls silent, and whose clock then begins again."""
+    robot = Robot(joints=NAMES).warm(100)
+    robot.stamp += 10 * TIMEOUT
+    two = NAMES[:2]
+    for k in range(TIMEOUT // PERIOD + 2):
+        robot.state(robot.stamp + k * PERIOD, dict.fromkeys(two, 1.0))
+    assert [joint.name for joint in robot.merger.silent] == ["wrist"]
+    for k in range(3):
+        robot.state(k * PERIOD, dict.fromkeys(two, 2.0))
+    return robot
+
+
+@pytest.mark.parametrize(
+    ("stamp", "acts"),
+    [(10 * TIMEOUT, False), (2 * TIMEOUT, False), (3 * PERIOD, True), (100 * TIMEOUT, True)],
+)
+def test_a_joint_that_was_silent_over_a_reset_comes_back_with_the_new_clock_alone(stamp, acts):
+    robot = over_a_reset()
+    robot.take("wrist", stamp, 9.0)
+    robot.wait(PERIOD)
+    assert (robot.efforts["wrist"] == 9.0) is acts
+    assert robot.merger.counts["wrist"].outdated == (not acts)
+    robot.state(3 * PERIOD, dict.fromkeys(NAMES, 3.0))
+    assert robot.efforts == dict.fromkeys(NAMES, 3.0)
+
+
+def test_stamps_of_a_second_sender_are_no_reset():
+    """It stamps nothing: the others are believed as before."""
+    robot = over_a_reset()
+    robot.merger.__init__(robot.merger.settings)
+    for k in range(50):
+        robot.take("shoulder", 10 * TIMEOUT + k * PERIOD, 1.0)
+        robot.take("shoulder", 0, 2.0)
+        robot.take("elbow", 10 * TIMEOUT + k * PERIOD, 1.0)
+        robot.take("wrist", 10 * TIMEOUT + k * PERIOD, 1.0)
+        robot.wait(PERIOD if k % 10 else 2 * TIMEOUT)
+    assert not any(each.outdated for each in robot.merger.counts.values())
+    assert not robot.merger.silent
+
+
 def test_commands_without_stamps_are_merged_round_by_round():
     robot = Robot().warm()
     for k in range(5):
