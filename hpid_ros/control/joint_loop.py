@@ -23,7 +23,6 @@ from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, relay_o
 from hpid_ros.control.reference import (
     GRACE_NS,
     LARGEST_POSITION,
-    LONGEST_WAIT,
     Feedforward,
     Motion,
     Setpoint,
@@ -164,14 +163,38 @@ class JointLoop:
                 raise
             require_timely("the trajectory", window_ns, self._refused_ns, GRACE_NS)
 
-    def _drop_motion_after(self, stamp_ns: int, lead: float) -> None:
-        """Forget a motion that starts later after an instant than some time in [s]."""
+    @property
+    def _window_ns(self) -> tuple[int, int] | None:
         motion = self._following.motion
-        window_ns = None if motion is None else motion.window_ns
-        if window_ns is not None and window_ns[0] > stamp_ns + lead * NANOSECONDS:
-            ahead = (window_ns[0] - stamp_ns) * SECONDS_PER_NANOSECOND
-            self.dropped = f"the trajectory starts {ahead:.6g} s after the first state"
+        return None if motion is None else motion.window_ns
+
+    def _drop_earlier_motion(self, stamp_ns: int) -> None:
+        """Forget a motion that a clock which has gone back has yet to reach.
+
+        It would begin when nobody expects it any more. One that begins with the next state, or by
+        the new clock has begun, starts again.
+        """
+        window_ns, timeout = self._window_ns, self._timing.state_timeout
+        if window_ns is not None and window_ns[0] > stamp_ns + timeout * NANOSECONDS:
+            begin, start = (each * SECONDS_PER_NANOSECOND for each in (stamp_ns, window_ns[0]))
             self._following.follow(None)
+            self.dropped = (
+                f"the clock of the states went back to {begin:.3f} s: the trajectory that starts "
+                f"at {start:.3f} s is from before that"
+            )
+
+    def _drop_distant_motion(self, stamp_ns: int) -> None:
+        """Forget a motion that came before the first state, and starts too far ahead of it."""
+        window_ns = self._window_ns
+        if window_ns is None:
+            return
+        try:
+            require_timely("the trajectory", window_ns, stamp_ns)
+        except EndedError:
+            pass  # a controller that was started again carries on
+        except TrajectoryError as error:
+            self._following.follow(None)
+            self.dropped = str(error)
 
     def begin_relay(self, request: RelayRequest) -> None:
         """Let a relay drive the joint for some cycles, around where it is held.
@@ -556,16 +579,12 @@ class JointLoop:
         return self._law.effort
 
     def _interrupt(self, stamp_ns: int, dt: float) -> None:
-        """Reset after a simulated clock that went back; else be due for a takeover.
-
-        A motion that the new clock has yet to reach is of the time before: it would begin when
-        nobody expects it any more.
-        """
+        """Reset after a simulated clock that went back; else be due for a takeover."""
         if dt < 0.0:
             self.last_fault = f"the stamp went back by {-dt:g} s"
             self.counts.resets += 1
             if self._timing.is_simulated:
-                self._drop_motion_after(stamp_ns, self._timing.state_timeout)
+                self._drop_earlier_motion(stamp_ns)
                 self.reset()
                 return
             self._following.end_timed_motion()
@@ -636,7 +655,7 @@ class JointLoop:
         if law.limits is not None:
             law.limits.open(position)
         if not is_takeover:
-            self._drop_motion_after(stamp_ns, LONGEST_WAIT)
+            self._drop_distant_motion(stamp_ns)
             following.stand(position)
             return False
         if law.relay is not None:

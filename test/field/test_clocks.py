@@ -11,10 +11,15 @@ from harness.goals import (
     goal_of,
     needs_control_msgs,
 )
-from harness.graph import Told
+from harness.graph import Told, ros_arguments
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.nodes.core.middleware import LATCHED, RARE
+from hpid_ros.experiment.in_process import write_document
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 
 MS, SECOND = 10**6, 10**9
 BEGIN_NS = 100 * SECOND
@@ -156,3 +161,55 @@ def test_a_goal_over_states_whose_stamps_stand_still_ends_with_that_reason(harne
     assert f": the stamps of joint_states stand still at {joints.now:.3f} s" in (
         handle.ended.result().result.error_string
     )
+
+
+def test_a_trajectory_from_before_a_reset_does_not_begin_long_after_it(harness):
+    joint = Joint(harness)
+    joint.start()
+    joint.run(0.1)
+    publisher = joint.publisher()
+    publisher.publish(trajectory(joint.stamp_ns, 0.3, 0.5))
+    joint.run(until=lambda: joint.position > 0.25)
+    joint.stamp_ns = 0
+    there = joint.position
+    line = "the clock of the states went back to 0.000 s: the trajectory that starts at 10"
+    joint.run(until=lambda: line in joint.told.newest().get("message", ""))
+    assert joint.told.says(level=b"\x01", refused_references="1")
+    assert joint.position == pytest.approx(there, abs=0.1)
+    publisher.publish(trajectory(joint.stamp_ns, 0.0, 0.5))
+    joint.run(until=lambda: joint.told.says(level=b"\x00"))
+
+
+def test_a_command_from_before_a_reset_moves_nothing_after_it(harness, tmp_path):
+    robot = {"description": "urdf/mobile_manipulator.urdf", "driven": ["arm_joint_1"]}
+    write_document(tmp_path / "world.yaml", {"robot": {**robot, "fixed_base": True}})
+    told, states = Told(harness, "mujoco_bridge"), []
+    harness.node.create_subscription(
+        JointState, "joint_states", states.append, qos_profile_sensor_data
+    )
+    commands = harness.node.create_publisher(JointState, "joint_commands", OFFERED)
+    template = JointStateTemplate(["arm_joint_1"], effort=True)
+
+    def call(name, kind=Trigger, **fields):
+        harness.call(kind, f"mujoco_bridge/{name}", kind.Request(**fields))
+
+    def command(stamp_ns):
+        commands.publish(template.encode(stamp_ns, effort=[0.5]))
+
+    def has_dropped():
+        command(400 * MS)
+        return told.count("commands from before a reset") > 0
+
+    pace = {"mode": "realtime", "control_rate": 100.0, "wait_for_subscribers": 0}
+    arguments = ros_arguments(world_file=tmp_path / "world.yaml", command_timeout=1.0, **pace)
+    harness.processes.start("mujoco_bridge", "mujoco_bridge", arguments)
+    harness.wait(lambda: states and states[-1].header.stamp.nanosec > 500 * MS, what="time")
+    call("pause", SetBool, data=True)
+    call("reset")
+    harness.wait(has_dropped, what="a command to be dropped")
+    states.clear()
+    call("pause", SetBool, data=False)
+    harness.wait(lambda: len(states) > 10, what="states")
+    assert {state.effort[0] for state in states} == {0.0}
+    command(states[-1].header.stamp.nanosec)  # of the new clock
+    harness.wait(lambda: states[-1].effort[0] == 0.5, what="it to act")

@@ -9,7 +9,7 @@ from harness.loops import loops_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import EndedError, SettingError, TrajectoryError
 from hpid_ros.control import Gains
 from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.reference import Setpoint
@@ -120,6 +120,80 @@ def test_a_simulated_clock_that_goes_back_resets_loop_and_motion():
     again = [loop.step(k * MS - 5 * MS, 0.05 * k, 0.0) for k in range(10, 20)]
     assert again == first  # integral, velocity filter and trajectory began again
     assert loop.counts.resets == 1
+
+
+@pytest.mark.parametrize(
+    ("start", "position", "is_dropped"),
+    [
+        (0.0, 1.0, False),  # with the next state: it starts again
+        (1e-9, 1.0, False),  # under way by the new clock, too
+        (5.0, 0.2, True),  # from before the clock went back: nobody expects it any more
+        (60.0, 0.2, True),  # and had not begun
+    ],
+)
+def test_a_motion_that_a_simulated_clock_has_yet_to_reach_again_is_dropped(
+    start, position, is_dropped
+):
+    motion = Column("j", (Knot(0, 0.0, 0.0), Knot(SECOND, 1.0, 0.0)), round(start * SECOND))
+    loop = loop_on(motion, state_clock="simulated")
+    for k in range(5900, 6100):
+        loop.step(k * MS, 0.9, 0.0)
+    for k in range(70_000):
+        loop.step(k * MS, 0.2, 0.0)
+    assert loop.reference[0] == pytest.approx(position)
+    assert ("went back to 0.000 s" in loop.dropped) is is_dropped
+    assert loop.has_motion is not is_dropped
+
+
+STATES = st.integers(100 * SECOND, 10**18)
+
+
+@given(STATES, st.integers(-(10**11), 10**13), st.integers(1, 10**11), st.booleans())
+def test_a_trajectory_is_taken_where_the_action_would_take_it_but_for_a_second(
+    now_ns, ahead_ns, length_ns, carries_on
+):
+    """One rule: what has ended, or starts more than an hour ahead, moves nothing."""
+    motion = Column("j", (Knot(length_ns, 1.0),), max(now_ns + ahead_ns, 1))
+    start_ns, end_ns = motion.window_ns
+    loop = loop_on(Setpoint(0.5))
+    loop.step(now_ns - MS, 0.0, 0.0)
+    loop.step(now_ns, 0.0, 0.0)
+    is_over, is_far = end_ns + SECOND < now_ns, start_ns > now_ns + 3600 * SECOND
+    try:
+        loop.receive(motion, carries_on=carries_on)
+    except EndedError:
+        assert is_over
+        assert not carries_on
+    except TrajectoryError:
+        assert is_far
+    else:
+        assert not is_far
+        assert not is_over or carries_on
+        return
+    loop.step(now_ns + MS, 0.0, 0.0)
+    assert loop.reference == (0.5, 0.0)
+
+
+@pytest.mark.parametrize("jump", [-50, 7200])
+def test_a_trajectory_of_the_clock_to_which_a_first_stamp_leads_is_taken(jump):
+    """As a stop that answers a jump of the clock, before a second stamp has confirmed it."""
+    loop = loop_on()
+    for k in range(100):
+        loop.step(100 * SECOND + k * MS, 0.0, 0.0)
+    there_ns = (100 + jump) * SECOND
+    stop = Column("j", (Knot(0, 0.0, 0.0), Knot(SECOND, 0.0, 0.0)), there_ns)
+    with pytest.raises(TrajectoryError):
+        loop.receive(stop)
+    loop.step(there_ns, 0.0, 0.0)
+    loop.receive(stop)
+
+
+def test_what_starts_too_far_after_the_first_state_is_named_then():
+    loop = loop_on()
+    loop.receive(Column("j", (Knot(0, 1.0),), 10**18))
+    loop.step(0, 0.2, 0.0)
+    assert "must start within 3600 s" in loop.dropped
+    assert not loop.has_motion
 
 
 @pytest.mark.parametrize("back", [1, 5, 10**6])
