@@ -159,6 +159,9 @@ LONGEST_WAIT = 3600
 GRACE_NS = NANOSECONDS
 """A trajectory on a topic may have ended so long ago: in a stream some come late, in [ns]."""
 
+LATCHED_WITHIN = 3.0
+"""So soon after a controller's first state it receives what is latched, if anything is, in [s]."""
+
 
 def require_timely(what: str, window_ns: tuple[int, int], now_ns: int, late_ns: int = 0) -> None:
     """Refuse what has ended by the clock of the states, or starts too far ahead of it.

@@ -18,7 +18,7 @@ from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
 from hpid_ros.control.joint_loop import JointLoop, LoopState
 from hpid_ros.control.overrides import RelayRequest
-from hpid_ros.control.reference import Motion
+from hpid_ros.control.reference import LATCHED_WITHIN, Motion
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.messages.joint_state import JointReader
@@ -61,7 +61,6 @@ from hpid_ros.nodes.parts.references import (
 )
 
 _READINESS_PERIOD = 0.02  # [s]
-_LATCHED_WITHIN = 3.0  # [s] after the first state a trajectory from before comes, if one does
 _INACTIVE = "the controller is not active"
 
 
@@ -339,7 +338,7 @@ class JointController(ManagedNode):
 
     def _follow(self, motion: Motion, is_latched: bool) -> None:
         begun_at = self._begun_at
-        has_just_begun = begun_at is None or time.monotonic() - begun_at < _LATCHED_WITHIN
+        has_just_begun = begun_at is None or time.monotonic() - begun_at < LATCHED_WITHIN
         carries_on = is_latched and has_just_begun and not self._loop.has_motion
         self._loop.receive(motion, carries_on=carries_on)
         self._health.accepted_reference()

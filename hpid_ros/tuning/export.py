@@ -23,7 +23,12 @@ from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.control.reference import (
+    GRACE_NS,
+    LARGEST_POSITION,
+    LATCHED_WITHIN,
+    LONGEST_WAIT,
+)
 from hpid_ros.control.settings import (
     LARGEST_MOTION,
     LEAST_WRAP,
@@ -495,6 +500,9 @@ def package_files(
         "sha256": hashlib.sha256(certificates.encode()).hexdigest(),
         "largest_position": LARGEST_POSITION,
         "largest_motion": LARGEST_MOTION,
+        "grace_ns": GRACE_NS,
+        "longest_wait_ns": LONGEST_WAIT * NANOSECONDS,
+        "latched_within_ns": round(LATCHED_WITHIN * NANOSECONDS),
         "update_rate": round(1.0 / min(each.timing.control_period for each in loops)),
     }
     for template, path in _PACKAGE_FILES.items():

@@ -1,5 +1,6 @@
 """The package for ros2_control: its controller answers as Python's loop does."""
 
+import contextlib
 import json
 import math
 import random
@@ -24,7 +25,7 @@ from harness.plugins import (
     run_threads,
 )
 
-from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.base.errors import GainError, SettingError, TrajectoryError
 from hpid_ros.control import JointLoop
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.reference import LARGEST_POSITION
@@ -245,6 +246,35 @@ def test_a_trajectory_before_all_time_is_refused(active):
     active.update(10**9, *[(0.1, 0.0)] * 2)
     active.trajectory("elbow", -(10**9), [MS], [0.2])
     assert "its stamp is negative" in active.told()
+
+
+@pytest.mark.parametrize(
+    ("begun_s", "start_s", "reason"),
+    [
+        (0, -2.5, ""),  # latched, as one that begins receives it: its end is approached
+        (4, -1.0, ""),  # late in a stream
+        (4, -2.5, "the trajectory ended at 102.000 s, in the past: it is 103.500 s now"),
+        (4, 3600.0, ""),
+        (4, 3601.0, "the trajectory must start within 3600 s, not at 3704.500 s"),
+    ],
+)
+def test_a_trajectory_of_another_time_is_refused_as_python_refuses_it(
+    active, begun_s, start_s, reason
+):
+    rest, begin_ns = [(0.1, 0.0)] * 2, 103_500 * MS
+    active.update(begin_ns - begun_s * 10**9, *rest)
+    active.update(begin_ns, *rest)
+    own = begin_ns + round(start_s * 1e9)
+    active.trajectory("elbow", own, [10**9], [0.3], [0.0])
+    told = active.told()
+    assert reason in told
+    assert bool(reason) is ("refused" in told)
+    loop = JointLoop(LOOPS[0])
+    loop.step(begin_ns, 0.1, 0.0)
+    motion = JointTrajectory(("elbow",), (TrajectoryPoint(10**9, (0.3,), (0.0,)),), own)
+    with contextlib.suppress(TrajectoryError):
+        loop.receive(motion.column("elbow"), carries_on=begun_s == 0)
+    assert loop.has_motion is not bool(reason)
 
 
 def test_references_are_refused_while_nobody_may_give_them(make):

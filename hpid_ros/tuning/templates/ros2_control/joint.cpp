@@ -57,7 +57,9 @@ Record Joint::step(
   }
   if (!is_controlled_) {
     begin();
+    begun_ns.store(stamp_ns + ahead_ns, std::memory_order_relaxed);
   }
+  clock_ns.store(stamp_ns + ahead_ns, std::memory_order_relaxed);
   Record record;
   if (is_standing_ && stamp_ns == stamp_ns_) {  // no time has passed
     record.stamp_ns = stamp_ns_;
@@ -111,6 +113,7 @@ Record Joint::leave()
   }
   was_controlled_ = is_controlled_;
   is_controlled_ = false;
+  clock_ns.store(0, std::memory_order_relaxed);
   drop_motion();
   record.stamp_ns = stamp_ns_;
   return record;

@@ -78,6 +78,11 @@ public:
   std::atomic<std::uint64_t> missed = 0;    // states there must have been, by control_period
   std::atomic<bool> is_silent = false;      // the states have ended
 
+  // By the clock of trajectories; 0 while it is not controlled.
+
+  std::atomic<std::int64_t> begun_ns = 0;  // its first cycle
+  std::atomic<std::int64_t> clock_ns = 0;  // its last cycle
+
 private:
   enum class Age { kNew, kOld, kEnded };
 

@@ -18,6 +18,9 @@ namespace
 
 constexpr std::size_t kMostPoints = 50000;
 const std::string kTooMany = "64 wait already for their beginning, or for the control loop";
+constexpr std::int64_t kGrace_ns = {{ grace_ns }};  // a trajectory may have ended so long ago
+constexpr std::int64_t kLongestWait_ns = {{ longest_wait_ns }};
+constexpr std::int64_t kLatchedWithin_ns = {{ latched_within_ns }};  // of the first cycle
 constexpr double kLeastRate = 0.95;  // of the controller's updates, of the one by control_period
 
 /// Returns why a joint's column of a trajectory cannot be followed; empty, and the motion, if it can.
@@ -67,6 +70,29 @@ std::string column(
   }
   motion.pace = pace_of(motion.knots);
   return "";
+}
+
+/// Returns why a trajectory of another time is not followed, as hpid_ros has it; empty if it is.
+/// now_ns is 0 before the first cycle. One that has ended may let a joint that begins carry on.
+std::string untimely(const Motion & motion, std::int64_t now_ns, bool carries_on)
+{
+  if (motion.stamp_ns == 0 || now_ns == 0) {
+    return "";
+  }
+  const std::int64_t end_ns = motion.stamp_ns + motion.knots.back().time_ns;
+  char shown[192] = "";
+  if (end_ns + kGrace_ns < now_ns && !carries_on) {
+    std::snprintf(
+      shown, sizeof shown, "the trajectory ended at %.3f s, in the past: it is %.3f s now",
+      static_cast<double>(end_ns) * 1e-9, static_cast<double>(now_ns) * 1e-9);
+  } else if (motion.stamp_ns > now_ns + kLongestWait_ns) {
+    std::snprintf(
+      shown, sizeof shown,
+      "the trajectory must start within %lld s, not at %.3f s: it is %.3f s now",
+      static_cast<long long>(kLongestWait_ns / 1000000000),
+      static_cast<double>(motion.stamp_ns) * 1e-9, static_cast<double>(now_ns) * 1e-9);
+  }
+  return shown;
 }
 
 /// Returns which values exclude each other, of settings that the loop does not accept.
@@ -248,10 +274,16 @@ void JointNode::on_trajectory(const trajectory_msgs::msg::JointTrajectory & mess
   if (std::adjacent_find(sorted.begin(), sorted.end()) != sorted.end()) {
     reason = "it names a joint twice";
   }
+  const std::int64_t now_ns = joint_->clock_ns;
+  const bool carries_on = !has_moved_ && now_ns - joint_->begun_ns < kLatchedWithin_ns;
+  if (reason.empty()) {
+    reason = untimely(joint_->motion.slot(), now_ns, carries_on);
+  }
   if (!reason.empty()) {
     refuse("trajectory refused: " + reason);
     return;
   }
+  has_moved_ = true;
   joint_->motions.push();
 }
 
@@ -275,6 +307,7 @@ void JointNode::on_setpoint(double position)
   motion->is_setpoint = true;
   motion->pace = pace_of(motion->knots);
   motion->pace.lead = 0.0;
+  has_moved_ = true;
   joint_->motions.push();
 }
 
@@ -308,6 +341,7 @@ void JointNode::follow_lifecycle()
     node_->activate();
   } else if (!is_controlled() && state == State::PRIMARY_STATE_ACTIVE) {
     node_->deactivate();
+    has_moved_ = false;
   }
 }
 

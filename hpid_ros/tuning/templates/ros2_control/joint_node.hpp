@@ -64,6 +64,7 @@ private:
   const std::atomic<bool> & is_controller_active_;
   const std::atomic<bool> & is_chained_;
   bool is_following_ = false;  // its lifecycle, by itself
+  bool has_moved_ = false;     // a reference has come since it was activated
   std::string last_fault_ = "none";
   std::uint64_t refused_ = 0;
   std::int64_t introspected_ns_ = 0;
