@@ -99,7 +99,7 @@ from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.joint_controller import JointController
 
 class Broken(JointController):
-    def _follow(self, motion):
+    def _follow(self, motion, is_latched):
         raise {error}
 
 sys.exit(executor.run(lambda: [Broken()]))
@@ -174,7 +174,10 @@ def test_a_driver_that_repeats_its_last_state_is_silent(harness, faults):
 
     def silent():
         harness.publish(MS, -0.5)
-        return told.says(message="no new state within state_timeout")
+        return told.says(
+            message="no new state within state_timeout; "
+            "the stamps of joint_states stand still at 0.001 s"
+        )
 
     harness.wait(silent, within=5.0, what="the silence to be told")
     assert told.newest()["level"] == DiagnosticStatus.ERROR

@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.base.errors import HpidError, MessageError
+from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
@@ -211,7 +211,7 @@ class ControllerReferences:
         elif number > self._followed:
             try:
                 self._follow(found, is_latched)
-            except HpidError as error:
+            except TrajectoryError as error:  # of another time
                 self._refuse(str(error))
             else:
                 self._followed = number
