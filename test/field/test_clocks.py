@@ -11,7 +11,7 @@ from harness.goals import (
     goal_of,
     needs_control_msgs,
 )
-from harness.graph import Told, ros_arguments
+from harness.graph import NAME, Told, ros_arguments
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -125,6 +125,20 @@ def test_states_whose_stamps_stand_still_are_named_as_that(harness, stamp_ns, li
     joint.run(until=lambda: joint.told.says(level=b"\x00"))
 
 
+def test_a_stamp_that_is_no_time_is_named_where_it_is_waited_for(harness):
+    joint = Joint(harness)
+    joint.start()
+    state = JointState(name=["elbow"], position=[0.5], velocity=[0.0])
+    state.header.stamp = Time(sec=1133099831, nanosec=1126656057)
+
+    def is_named():
+        harness.states.publish(state)
+        line = "state refused: a stamp's nanoseconds must be below 1e9, not 1126656057"
+        return joint.told.says(message=line, level=b"\x01")
+
+    harness.wait(is_named, what="the report")
+
+
 @needs_control_msgs
 def test_a_clock_that_jumps_ahead_in_a_goal_stops_the_joints_where_they_are(harness):
     joints = Joints(harness)
@@ -171,13 +185,15 @@ def test_a_trajectory_from_before_a_reset_does_not_begin_long_after_it(harness):
     publisher.publish(trajectory(joint.stamp_ns, 0.3, 0.5))
     joint.run(until=lambda: joint.position > 0.25)
     joint.stamp_ns = 0
-    there = joint.position
+    there, references = joint.position, []
+    harness.node.create_subscription(JointState, f"{NAME}/reference", references.append, OFFERED)
     line = "the clock of the states went back to 0.000 s: the trajectory that starts at 10"
     joint.run(until=lambda: line in joint.told.newest().get("message", ""))
     assert joint.told.says(level=b"\x01", refused_references="1")
     assert joint.position == pytest.approx(there, abs=0.1)
-    publisher.publish(trajectory(joint.stamp_ns, 0.0, 0.5))
-    joint.run(until=lambda: joint.told.says(level=b"\x00"))
+    assert references[-1].header.stamp.sec < 100  # it is published on the new clock
+    publisher.publish(trajectory(0, 0.0, 0.5))
+    joint.run(until=lambda: joint.told.says(level=b"\x00") and abs(joint.position) < 0.01)
 
 
 def test_a_command_from_before_a_reset_moves_nothing_after_it(harness, tmp_path):

@@ -319,7 +319,8 @@ class ControllerHealth(Diagnostics):
         self._certification, self._timing = certification, timing
         self.foreign = self.misread = 0
         self._references = self._refusal_reports = 0
-        self._refusal = ""
+        self._refusal = self._misread_line = ""
+        self._samples = 0  # at the last report
         self._missed = self._held = 0
         self.scheduling = ""
 
@@ -350,7 +351,15 @@ class ControllerHealth(Diagnostics):
     def misread_state(self, line: str) -> None:
         """Note bytes that were no state of this joint."""
         self.misread += 1
-        self.fault(f"state refused: {line}")
+        self._misread_line = f"state refused: {line}"
+        self.fault(self._misread_line)
+
+    def _misread(self) -> str:
+        """Return a warning when all states of the last report were refused."""
+        samples, line = self._loop.counts.samples, self._misread_line
+        is_all = samples == self._samples
+        self._samples, self._misread_line = samples, ""
+        return line if is_all else ""
 
     def refused_reference(self, line: str) -> None:
         self._references += 1
@@ -389,7 +398,7 @@ class ControllerHealth(Diagnostics):
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK
         # each counts from its last call
-        recent = self._refused(), self._slowness(), self._model_fault()
+        recent = self._misread(), self._refused(), self._slowness(), self._model_fault()
         warnings = standstill, self._certification.warning, loop.velocity_warning, *recent
         warning = next(filter(None, warnings), "")
         if not is_active:
