@@ -5,6 +5,7 @@ from builtin_interfaces.msg import Time
 from harness.goals import (
     ABORTED,
     GAINS,
+    SUCCEEDED,
     Client,
     Joints,
     fill_trajectory,
@@ -155,6 +156,23 @@ def test_a_clock_that_jumps_ahead_in_a_goal_stops_the_joints_where_they_are(harn
     joints.run_for(2.0)
     assert joints.position == pytest.approx(there, abs=0.5)
     assert max(map(abs, joints.velocity.values())) < 0.01
+
+
+@needs_control_msgs
+def test_a_goal_goes_on_where_another_node_sends_what_has_ended(harness):
+    joints = Joints(harness)
+    joints.ahead = 1000.0
+    joints.start()
+    client = Client(joints)
+    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", RARE)
+    joints.run(lambda: publisher.get_subscription_count() > 2, what="all to listen")
+    path = {"shoulder": [0.5], "elbow": [-0.5]}
+    handle = client.send(goal_of(path, [1.5], {name: [0.0] for name in path}))
+    joints.run(lambda: joints.position["shoulder"] > 0.05, what="the joints to move")
+    publisher.publish(trajectory(SECOND))
+    status, _, text = client.result(handle)
+    assert (status, text) == (SUCCEEDED, "goal reached")
+    assert joints.position["elbow"] == pytest.approx(-0.5, abs=0.02)
 
 
 @needs_control_msgs

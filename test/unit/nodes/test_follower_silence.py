@@ -200,6 +200,20 @@ def test_a_single_stamp_from_the_future_ends_no_goal():
     assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
 
 
+@pytest.mark.parametrize(
+    ("window", "is_refused"),
+    [((1, 2), True), ((9000, 9010), True), ((49, 60), False), ((3000, 3001), False)],
+)
+def test_a_goal_goes_on_where_others_send_what_controllers_refuse(window, is_refused):
+    group = started(start_ns=50 * SECOND)
+    group.run(0.3)
+    window_ns = window[0] * SECOND, window[1] * SECOND
+    group.note(group.follower.yield_joints({"elbow"}, window_ns))
+    group.run(2.0, until=lambda: group.results)
+    wanted = ResultCode.SUCCESSFUL if is_refused else ResultCode.INVALID_GOAL
+    assert [each.code for each in group.results] == [wanted]
+
+
 def test_a_process_that_stood_still_has_seen_no_clock_jump():
     group = started(start_ns=50 * SECOND)
     group.run(0.3)

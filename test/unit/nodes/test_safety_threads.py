@@ -209,6 +209,29 @@ def test_a_warning_of_the_last_report_is_of_that_alone_also_behind_another_one()
     assert health.publish.call_args.args[1] == LoopState.HOLDING.value
 
 
+def test_a_reference_that_was_refused_is_named_until_a_good_one_comes_or_for_a_while():
+    loop = MagicMock(relay=None, dropped="", velocity_warning="", state=LoopState.HOLDING)
+    loop.counts.missed, loop.settings.timing.control_period = 0, 0.001
+    health = ControllerHealth(
+        MagicMock(), loop, MagicMock(warning=""), SimpleNamespace(recent=dict)
+    )
+    health.publish = MagicMock()
+
+    def messages(count):
+        for _ in range(count):
+            health.report("active", "", "", "")
+            yield health.publish.call_args.args[1]
+
+    held, refused = LoopState.HOLDING.value, "reference refused: no good"
+    health.refused_reference("no good")
+    assert set(messages(30)) == {refused}
+    assert set(messages(2)) == {held}
+    loop.dropped = "no good"
+    assert set(messages(2)) == {refused}
+    health.accepted_reference()
+    assert set(messages(2)) == {held}
+
+
 def test_of_a_flood_the_newest_is_decoded_and_what_all_have_got_is_decoded_once(monkeypatch):
     decoded, may_go_on, is_busy = [], threading.Event(), threading.Event()
 

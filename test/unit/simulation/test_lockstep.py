@@ -55,3 +55,13 @@ def test_efforts_do_not_depend_on_the_order_of_the_answers(order, values):
     completed = [barrier.answer(0, [joint], [efforts[joint]]) for joint in order]
     assert completed == [False] * 7 + [True]
     assert barrier.finish() == values
+
+
+def test_a_joint_whose_commands_carry_no_stamp_is_named_until_they_do():
+    barrier = Barrier(["a", "b"])
+    barrier.begin(5)
+    barrier.answer(0, ["a"], [1.0])
+    barrier.answer(4, ["b"], [1.0])  # late, and stamped
+    assert barrier.unstamped == {"a"}
+    barrier.answer(5, ["a"], [1.0])
+    assert barrier.unstamped == set()
