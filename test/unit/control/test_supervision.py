@@ -253,3 +253,22 @@ def test_a_damping_stop_damps_the_measured_velocity_and_a_step_within_the_larges
     for position in (0.3, 0.4, 0.3):  # 0.1 rad may be a count, and 2 ms of the largest speed more
         joint.now += MS
         assert joint.answer(joint.now, position, 1.0, joint.now) < -1.0
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "line"),
+    [
+        (0, "the stamps of joint_states are 0: their driver has to stamp them"),
+        (1_500 * MS, "the stamps of joint_states stand still at 1.500 s"),
+    ],
+)
+def test_stamps_stand_still_where_one_comes_again_and_again(stamp_ns, line):
+    watchdog = Watchdog()
+    watchdog.observe(stamp_ns, 0)
+    assert watchdog.standstill(10**9, 0.1) == ""  # nothing has come since
+    for k in range(1, 4):
+        watchdog.observe(stamp_ns, k * MS)
+    assert watchdog.standstill(4 * MS, 0.1) == ""  # not for long
+    assert watchdog.standstill(200 * MS, 0.1) == line
+    watchdog.observe(stamp_ns + 1, 201 * MS)
+    assert watchdog.standstill(10**9, 0.1) == ""
