@@ -277,7 +277,7 @@ void JointNode::on_trajectory(const trajectory_msgs::msg::JointTrajectory & mess
   const std::int64_t now_ns = joint_->clock_ns;
   const bool carries_on = !has_moved_ && now_ns - joint_->begun_ns < kLatchedWithin_ns;
   if (reason.empty()) {
-    reason = untimely(joint_->motion.slot(), now_ns, carries_on);
+    reason = untimely(*place, now_ns, carries_on);
   }
   if (!reason.empty()) {
     refuse("trajectory refused: " + reason);
