@@ -8,7 +8,7 @@ can still catch it. Messages are one line: what came, what is allowed, which nam
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 from hpid_ros.base.text import bounded
 
@@ -88,11 +88,21 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
         known: The names that exist.
     """
     names = sorted(known)
-    nearest = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
-    hint = f" did you mean {nearest[0]!r}?" if nearest else ""
-    further = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
-    shown = ", ".join(names[:_SHOWN_NAMES]) + further
-    return f"unknown {kind} {str(name)!r};{hint} known: {shown or 'none'}"
+    nearest = nearest_name(str(name), names)
+    hint = f" did you mean {nearest!r}?" if nearest else ""
+    return f"unknown {kind} {str(name)!r};{hint} known: {listed_names(names) or 'none'}"
+
+
+def nearest_name(name: str, known: Iterable[str]) -> str:
+    """Return the name that was probably meant; empty where none is like it."""
+    nearest = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    return nearest[0] if nearest else ""
+
+
+def listed_names(names: Sequence[str], most: int = _SHOWN_NAMES) -> str:
+    """Return names in a line, and how many more there are."""
+    further = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + further
 
 
 def require_known(

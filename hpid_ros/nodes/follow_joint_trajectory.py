@@ -20,6 +20,7 @@ from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import steady_timer
 from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
+from hpid_ros.nodes.core.waiting import Waiting
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, GoalFollower, Outcome
 from hpid_ros.nodes.parts.goal_graph import GroupTopics
 from hpid_ros.nodes.parts.goal_server import GoalServer, action_type
@@ -151,6 +152,10 @@ class JointTrajectoryController(executor.ClosingNode):
             self, self._begin, lambda: self._act(self._follower.cancel()), self._health.note
         )
         self._is_ready = False
+        self._waiting = Waiting(self)
+        self._waiting.add(self._topics.awaited)
+        self._waiting.add(self._topics.awaited_references)
+        self._waiting.begin()
         steady_timer(self, _READINESS_PERIOD, self._log_when_ready)
         rate = float(self.get_parameter("action_monitor_rate").value)
         steady_timer(self, 1.0 / rate, self._send_feedback)
@@ -220,6 +225,8 @@ class JointTrajectoryController(executor.ClosingNode):
             names = ", ".join(f"{controller_name(joint)}/reference" for joint in silent)
             warnings.append(f"nothing has come on {names}: whether they follow is not seen")
         against, feedback = self._against(), self._follower.feedback()
+        if against or silent:
+            self._waiting.begin()
         course = f"no goal can be followed: {against}" if against else "no goal"
         if feedback is not None and not against:
             course = f"following a goal for {feedback.since_start_ns * 1e-9:.3g} s"

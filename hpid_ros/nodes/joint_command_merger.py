@@ -11,6 +11,7 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
 
 from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
@@ -31,9 +32,19 @@ from hpid_ros.nodes.core.parameters import read, read_one
 from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.rclpy_internals import given_parameters
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
+from hpid_ros.nodes.core.waiting import (
+    PUBLISHER,
+    Wait,
+    Waiting,
+    described,
+    fits,
+    other_side,
+    topic_view,
+    unseen,
+)
 from hpid_ros.nodes.parts.bridge_commanders import Commanders
 from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
-from hpid_ros.nodes.parts.joint_topics import Sink, sender_of
+from hpid_ros.nodes.parts.joint_topics import COMMANDS, Sink, sender_of
 from hpid_ros.nodes.parts.lifecycle import ManagedNode, ManagedParameters
 from hpid_ros.nodes.parts.merger import (
     CommandMerger,
@@ -242,6 +253,7 @@ def _readings(merger: CommandMerger) -> dict[str, object]:
 _LONGEST_GAP = 0.2  # of the patience with a joint's sender
 _ZEROS = 10  # with which it leaves: nobody acknowledges a best-effort message
 _BETWEEN_ZEROS = 0.01  # [s]
+_NAMED_AT_MOST = 1000  # joints that commands have named
 _ZEROS_WITHHELD = 100  # at most, while it is not known whose a subscription is
 
 
@@ -259,6 +271,7 @@ class JointCommandMerger(ManagedNode):
         name: str = "joint_command_merger",
         joints: Sequence[str] = (),
         is_composed: bool = False,
+        waiting: Waiting | None = None,
         **options: Any,
     ) -> None:
         super().__init__(name, **options)
@@ -292,6 +305,9 @@ class JointCommandMerger(ManagedNode):
         self._zeros_left = self._zeros_withheld = 0
         self._repeating: Timer | None = None
         self._scheduling = ""
+        self._named: set[str] = set()  # joints in commands, while some are waited for
+        self._waiting_log = waiting or Waiting(self)
+        self._waiting_log.add(self._awaited)
         steady_timer(self, 1.0, self._report)
         self.start()
         self._scheduling = schedule(self)
@@ -363,6 +379,49 @@ class JointCommandMerger(ManagedNode):
             return f"waiting for commands of {', '.join(merger.missing)}"
         return ""
 
+    def _awaited(self) -> Wait | None:
+        """Return what an active merger waits for, for the log."""
+        if not self.is_active or self._refusal or not self._waiting:
+            return None
+        receiver, merger = self._receiver, self._stream.merger
+        if not self._claim.is_settled:
+            wait = Wait("other claims of the topic", "are settled", "", lambda _: "")
+        elif receiver.is_refused or receiver.is_deactivated:
+            return None  # it has said so itself, and that is logged at once
+        elif receiver.reason:
+            topic = self._output.publisher.topic_name
+            what = "a subscriber of the commands"
+            if receiver.endpoints:
+                what = f"{receiver.name} to say which joints it has"
+            arrival = "is there" if not receiver.endpoints else "has ended"
+            wait = Wait(what, arrival, topic, self._receiver_found)
+        elif merger is None or self._is_composed:
+            return None  # the controllers of this process say what they wait for
+        else:
+            topic = self.resolve_topic_name(COMMANDS)
+            wait = Wait("commands", "come", topic, self._commands_found, tuple(merger.missing))
+        return wait._replace(has_come=lambda: self.is_active)
+
+    def _receiver_found(self, joints: Sequence[str]) -> str:
+        receiver, view = self._receiver, other_side(self, self._output.publisher)
+        if not receiver.name:
+            return described(view)
+        if receiver.endpoints:
+            return f"its service {receiver.name}/get_parameters does not answer"
+        return f"{described(view)}; the parameter controller is {receiver.name}"
+
+    def _commands_found(self, joints: Sequence[str]) -> str:
+        topic = self.resolve_topic_name(COMMANDS)
+        view = topic_view(self, topic, PUBLISHER, JointState, ALL_COMMANDS)
+        parts = [described(view)]
+        if self._commands is None:
+            parts.append(f"{len(joints)} joints must have one before the merger listens")
+        elif seen := unseen(joints, self._named):
+            parts.append(seen)
+        elif fits(view):
+            parts.append("nothing has come for these joints")
+        return "; ".join(parts)
+
     def _look_around(self) -> None:
         """Begin or cease to merge, by what is known of the receiver."""
         if not self.is_active:
@@ -401,9 +460,9 @@ class JointCommandMerger(ManagedNode):
     def _listen_when_all_are_there(self, merger: CommandMerger) -> None:
         """Subscribe to commands once every joint that must be there has a publisher."""
         needed = sum(not joint.may_be_missing for joint in merger.settings.joints)
-        if self.count_publishers("joint_commands") < needed:
+        if self.count_publishers(COMMANDS) < needed:
             return
-        self._commands = subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
+        self._commands = subscribe_raw(self, COMMANDS, self._on_command, ALL_COMMANDS)
         self._status.send("listening")
 
     def _on_command(self, raw: bytes) -> None:
@@ -416,6 +475,8 @@ class JointCommandMerger(ManagedNode):
         commanders, sender = self._commanders, self._reader.sender
         if commanders is None:
             return
+        if self._reported and len(self._named) < _NAMED_AT_MOST:
+            self._named.update(names)
         names, efforts = commanders.heed(names, efforts, sender, commanders.move())
         for name, effort in zip(names, efforts, strict=True):
             self._stream.take(name, stamp_ns, effort, is_signed=bool(sender))
@@ -428,6 +489,8 @@ class JointCommandMerger(ManagedNode):
         if self._waiting == self._reported:
             return
         self._reported = self._waiting
+        self._named.clear()
+        self._waiting_log.begin()
         if self._is_unusable:
             self._health.fault(self._reported)
         else:

@@ -12,6 +12,7 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.task import Future
+from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY
@@ -24,10 +25,21 @@ from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.middleware import NEWEST_STATES, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.middleware import NEWEST_STATES, RARE, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
+from hpid_ros.nodes.core.waiting import (
+    PUBLISHER,
+    SeenJoints,
+    Wait,
+    Waiting,
+    described,
+    fits,
+    other_side,
+    topic_view,
+    unseen,
+)
 from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
 from hpid_ros.nodes.parts.controller import (
     Certification,
@@ -55,6 +67,7 @@ from hpid_ros.nodes.parts.lifecycle import (
     StopParameters,
 )
 from hpid_ros.nodes.parts.references import (
+    TRAJECTORY,
     ControllerReferences,
     Introspection,
     IntrospectionParameters,
@@ -104,6 +117,7 @@ class JointController(ManagedNode):
         name: str = "joint_controller",
         sinks: Sinks = SINKS,
         shared: SharedTopics | None = None,
+        waiting: Waiting | None = None,
         **options: Any,
     ) -> None:
         super().__init__(name, **options)
@@ -150,6 +164,9 @@ class JointController(ManagedNode):
         self._states: Any = None
         self._is_listening = self._is_timeout_reported = False
         self._readiness: Any = None
+        self._seen = SeenJoints()
+        self._waiting = waiting or Waiting(self)
+        self._waiting.add(self._awaited)
         self._references: ControllerReferences | None = None
         self._standstill = ""  # what is said of stamps that stand still
         self._begun_at: float | None = None  # when the first state came since the activation
@@ -195,6 +212,7 @@ class JointController(ManagedNode):
         if self._shared:
             self._shared.expect(self)
         self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
+        self._waiting.begin()
 
     def leave(self) -> None:
         """Deactivate: the last command is zero, and a later activation starts again."""
@@ -264,6 +282,50 @@ class JointController(ManagedNode):
             return "waiting for a reference"
         return ""
 
+    def _awaited(self) -> Wait | None:
+        """Return what an active controller waits for, for the log."""
+        if not self.is_active or self._readiness is None:
+            return None
+        if self._is_listening:
+            topic = self.resolve_topic_name(STATES)
+            wait = Wait("states", "come", topic, self._states_found, (self.joint,))
+        elif not self._waits_for():
+            return None
+        elif not self._claim.is_settled:
+            wait = Wait("other claims of the joint", "are settled", "", lambda _: "")
+        elif self._commands.subscribers() < self._least_subscribers:
+            topic = self._commands.publisher.topic_name
+            what = "a subscriber of the commands"
+            wait = Wait(what, "is there", topic, self._subscribers_found, (self.joint,))
+        else:
+            topic = self.resolve_topic_name(TRAJECTORY)
+            wait = Wait("a reference", "is there", topic, self._reference_found, (self.joint,))
+        return wait._replace(has_come=lambda: self.is_active)
+
+    def _states_found(self, joints: Sequence[str]) -> str:
+        states = self._shared.states if self._shared else self._states
+        if states is None:  # others that share it are not ready
+            return ""
+        view = other_side(self, states)
+        line = described(view)
+        if rejected := self._loop.counts.rejected + self._health.misread:
+            reason = self._loop.last_fault or self._health.last_fault
+            return f"{line}; {rejected} have come that cannot be used, the last: {reason}"
+        others = unseen(joints, self._seen.names())
+        if not others and fits(view):
+            others = "nothing has come"
+        return f"{line}{'; ' * bool(others)}{others}"
+
+    def _subscribers_found(self, joints: Sequence[str]) -> str:
+        line = described(other_side(self, self._commands.publisher))
+        least = self._least_subscribers
+        return f"{line}; wait_for_command_subscribers is {least}" if least > 1 else line
+
+    def _reference_found(self, joints: Sequence[str]) -> str:
+        topic = self.resolve_topic_name(TRAJECTORY)
+        view = topic_view(self, topic, PUBLISHER, JointTrajectory, RARE)
+        return described(view) + ("; none for this joint has come" if fits(view) else "")
+
     def _on_state(self, raw: bytes) -> None:
         began_ns, cuts = time.perf_counter_ns(), self._commands.cuts
         self._supervised.note_past_timeout(began_ns)
@@ -276,6 +338,7 @@ class JointController(ManagedNode):
             return
         if sample is None:
             self._health.foreign += 1
+            self._seen.newest = raw
             return
         model = self._model
         by_model = None if model is None else partial(model.answer, self._loop, sample, raw)

@@ -15,6 +15,7 @@ from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.parameters import read
+from hpid_ros.nodes.core.waiting import Waiting
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
 from hpid_ros.nodes.parts.joint_topics import JOINT_STATE, SINKS, SharedTopics, Sinks
@@ -50,7 +51,10 @@ def make_nodes() -> list[executor.ClosingNode]:
         validate_node_name(controller_name(joint))
     if not joints or len(set(joints)) != len(joints):
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
-    merger = JointCommandMerger(joints=joints, is_composed=True) if asked.merge else None
+    waiting = Waiting(composition)  # six joints that wait for the same are one line
+    merger = None
+    if asked.merge:
+        merger = JointCommandMerger(joints=joints, is_composed=True, waiting=waiting)
     sinks: Sinks = SINKS
     shared = SharedTopics(composition) if asked.share_messages else None
     if shared is not None:
@@ -62,6 +66,7 @@ def make_nodes() -> list[executor.ClosingNode]:
             controller_name(joint),
             sinks,
             shared,
+            waiting,
             parameter_overrides=[
                 Parameter("joint", value=joint),
                 *([] if merger is None else [Parameter("command_interface", value=MERGED)]),

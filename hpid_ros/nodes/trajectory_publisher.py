@@ -27,6 +27,7 @@ from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import ALL_STATES, LATCHED, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
+from hpid_ros.nodes.core.waiting import Wait, Waiting, described, other_side
 from hpid_ros.nodes.parts.goals import LEAD_NS
 from hpid_ros.robot.description import RobotDescription
 
@@ -70,15 +71,25 @@ class TrajectoryPublisher(executor.ClosingNode):
         self._states = subscribe_raw(self, "joint_states", self._on_state, ALL_STATES)
         self._status = StatusPipe(self)
         self._look = steady_timer(self, _LOOK_PERIOD, self._publish_when_states_are_heard)
+        waiting = Waiting(self)
+        waiting.add(self._awaited)
+        waiting.begin()
+
+    def _awaited(self) -> Wait | None:
+        """Return what the trajectory waits for, for the log."""
+        if self._is_published:
+            return None
+        topic = self._states.topic_name
+        return Wait(
+            f"a publisher of {topic}",
+            "is there",
+            topic,
+            lambda _: described(other_side(self, self._states)),
+        )
 
     def _publish_when_states_are_heard(self) -> None:
         """Publish once the states' publisher is known, so that the first of them is not missed."""
         if not self._states.get_publisher_count():
-            self.get_logger().info(
-                f"waiting for a publisher of {self._states.topic_name}",
-                throttle_duration_sec=5.0,
-                skip_first=True,
-            )
             return
         self._looks_left -= 1
         if self._newest_ns is None and self._looks_left:

@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import ExperimentError, MessageError, SettingError
 from hpid_ros.base.files import find_resource
+from hpid_ros.base.names import controller_name
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import load_document
@@ -30,6 +31,7 @@ from hpid_ros.nodes.core.middleware import (
 from hpid_ros.nodes.core.parameters import read, read_one
 from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
+from hpid_ros.nodes.core.waiting import Wait, Waiting, described, fits, other_side, unseen
 from hpid_ros.nodes.parts.bridge_commanders import Commanders, HeldCommands
 from hpid_ros.nodes.parts.bridge_services import (
     BridgeReports,
@@ -39,6 +41,7 @@ from hpid_ros.nodes.parts.bridge_services import (
     WrenchParameters,
     offer_standard_services,
 )
+from hpid_ros.nodes.parts.joint_topics import COMMANDS
 from hpid_ros.nodes.parts.recorder import BagRecorder
 from hpid_ros.robot.amendments import RobotSection
 from hpid_ros.simulation.lockstep import AnswerCounts, Barrier
@@ -217,6 +220,8 @@ _READINESS_PERIOD = 0.01  # [s]
 _LOOKS = 8  # at who is missing, in one answer_timeout
 _LAST_LOOK = 1.0 - 2.0 / _LOOKS  # of answer_timeout: the next look may be late, the limit holds
 _PROGRESS_PERIOD_NS = 100_000_000
+_LATE_NS = 500_000_000  # since a state: an answer that is missing then is waited for
+_NAMED_AT_MOST = 1000  # joints that commands have named
 
 
 class RobotBridge(executor.ClosingNode):
@@ -264,8 +269,8 @@ class RobotBridge(executor.ClosingNode):
         self._states = self.create_publisher(
             JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
         )
-        taken = subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
-        self._topics = self._states.topic_name, taken.topic_name
+        self._commands = subscribe_raw(self, COMMANDS, self._on_command, ALL_COMMANDS)
+        self._topics = self._states.topic_name, self._commands.topic_name
         self.recorder = BagRecorder(self._topics) if read(self, RecordParameters).record else None
         prefix = read(self, FrameParameters).frame_prefix
         self._reports = BridgeReports(self, self._world, prefix, pace.end_ns)
@@ -281,13 +286,19 @@ class RobotBridge(executor.ClosingNode):
         self._progressed_ns = time.perf_counter_ns()
         self._asked_again = False
         self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
+        self._is_short = False
+        self._named: set[str] = set()  # joints in commands, while some are waited for
+        self._waiting_log = Waiting(self)
+        for source in (self._awaited_listeners, self._awaited_commanders, self._awaited_commands):
+            self._waiting_log.add(source)
+        self._waiting_log.begin()
         steady_timer(self, 1.0, self._report)
         self._scheduling = schedule(self)
 
     def _start_when_ready(self) -> None:
         has_recorder = self.recorder is None or self.recorder.is_recording
         listeners = self._states.get_subscription_count()
-        commanders = self.count_publishers("joint_commands")
+        commanders = self.count_publishers(COMMANDS)
         if (
             listeners < self._waiting.wait_for_subscribers
             or commanders < self._waiting.wait_for_publishers
@@ -297,12 +308,6 @@ class RobotBridge(executor.ClosingNode):
             if now_ns - self._progressed_ns > NANOSECONDS:
                 self._progressed_ns = now_ns
                 self._status.send("waiting", listeners=listeners, commanders=commanders)
-                self.get_logger().info(
-                    f"waiting: {listeners} of {self._waiting.wait_for_subscribers} subscribers of "
-                    f"the states, {commanders} of {self._waiting.wait_for_publishers} publishers "
-                    f"of commands{'' if has_recorder else ', the recorder of its topics'}",
-                    throttle_duration_sec=5.0,
-                )
             return
         self._readiness.cancel()
         self._is_started = True
@@ -315,6 +320,54 @@ class RobotBridge(executor.ClosingNode):
             self._publish_state()
             steady_timer(self, period / self._pace.real_time_factor, self._resume)
 
+    def _awaited_listeners(self) -> Wait | None:
+        """Return which subscribers the first state waits for, for the log."""
+        needed = self._waiting.wait_for_subscribers
+        if self._is_started or self._states.get_subscription_count() >= needed:
+            return None
+        topic = self._states.topic_name
+        what, arrival = _counted(needed, "subscriber", "of the states")
+        return Wait(what, arrival, topic, lambda _: described(other_side(self, self._states)))
+
+    def _awaited_commanders(self) -> Wait | None:
+        """Return which publishers the first state waits for, for the log."""
+        needed = self._waiting.wait_for_publishers
+        if self._is_started or self.count_publishers(COMMANDS) >= needed:
+            return None
+        topic = self._commands.topic_name
+        what, arrival = _counted(needed, "publisher", "of commands")
+        return Wait(what, arrival, topic, self._commanders_found)
+
+    def _commanders_found(self, joints: Sequence[str]) -> str:
+        view = other_side(self, self._commands)
+        names = {end.node.rpartition("/")[2] for end in view.ends}
+        missing = [joint for joint in self._barrier.joints if controller_name(joint) not in names]
+        line = described(view)
+        if not names or len(missing) == len(self._barrier.joints):
+            return line
+        return f"{line}; there is none called {', '.join(map(controller_name, missing))}"
+
+    def _awaited_commands(self) -> Wait | None:
+        """Return which joints are without commands, for the log."""
+        if not self._is_started or self._is_done or self._simulation.is_paused:
+            return None
+        waited_ns = time.perf_counter_ns() - self._timing.published_ns
+        late = self._barrier.missing if waited_ns > _LATE_NS else ()
+        missing = {*self._barrier.silent, *late}
+        joints = tuple(joint for joint in self._barrier.joints if joint in missing)
+        self._is_short = bool(joints)
+        if not joints:
+            self._named.clear()
+            return None
+        return Wait("commands", "come", self._commands.topic_name, self._commands_found, joints)
+
+    def _commands_found(self, joints: Sequence[str]) -> str:
+        view = other_side(self, self._commands)
+        others = unseen(joints, self._named - set(self._barrier.joints))
+        if not others and fits(view):
+            others = "nothing has come for these joints"
+        return f"{described(view)}{'; ' * bool(others)}{others}"
+
     def _on_command(self, raw: bytes) -> None:
         if self.recorder is not None:
             self.recorder.keep(self._topics[1], raw)
@@ -324,6 +377,8 @@ class RobotBridge(executor.ClosingNode):
             self._misread += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
+        if self._is_short and len(self._named) < _NAMED_AT_MOST:
+            self._named.update(names)
         now = time.perf_counter()
         names, efforts = self._commanders.heed(names, efforts, self._reader.sender, now)
         if not names:
@@ -424,6 +479,8 @@ class RobotBridge(executor.ClosingNode):
 
     def _report(self) -> None:
         silent = self._barrier.silent
+        if silent or self._barrier.missing:
+            self._waiting_log.begin()
         unanswered = f"no answer from {', '.join(silent)}{self._unstamped()}"
         message = unanswered if silent else "running"
         if self._simulation.is_paused:
@@ -455,6 +512,13 @@ class RobotBridge(executor.ClosingNode):
         if self._is_started and not self._is_done:
             self._send_summary("stopped")
         self._world.close()
+
+
+def _counted(needed: int, what: str, whose: str) -> tuple[str, str]:
+    """Return how many of something are needed, and how it is told that they are there."""
+    if needed == 1:
+        return f"a {what} {whose}", "is there"
+    return f"{needed} {what}s {whose}", "are there"
 
 
 def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:

@@ -227,6 +227,11 @@ class GoalFollower:
             return ""
         return standing_stamps(self.now_ns, self._repeats)
 
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Joints of which no state has come."""
+        return tuple(joint.name for joint in self._joints if joint.stamp_ns is None)
+
     def reason_against(self) -> str:
         """Return why no goal can be followed now; empty if one can be."""
         if self._silence:

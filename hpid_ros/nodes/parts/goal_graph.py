@@ -26,6 +26,16 @@ from hpid_ros.nodes.core.middleware import (
     subscribe_raw,
     wait_until_acknowledged,
 )
+from hpid_ros.nodes.core.waiting import (
+    PUBLISHER,
+    SeenJoints,
+    Wait,
+    described,
+    fits,
+    other_side,
+    topic_view,
+    unseen,
+)
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
 from hpid_ros.nodes.parts.goals import GroupTrajectory
 from hpid_ros.nodes.parts.references import (
@@ -64,16 +74,57 @@ class GroupTopics:
         )
         TrajectorySubscriptions(node, self._on_trajectory)
         self._reader = GroupReader(tuple(references))
-        for topic in state_topics:
-            subscribe_raw(node, topic, self._on_state, NEWEST_STATES)
+        self._states = [
+            subscribe_raw(node, topic, self._on_state, NEWEST_STATES) for topic in state_topics
+        ]
+        self._seen = SeenJoints()
         self.has_reference = [False] * len(references)
         for number, (joint, topic) in enumerate(references.items()):
             take = partial(self._on_reference, number, JointReader(joint))
             node.create_subscription(JointState, topic, take, NEWEST_REFERENCE, raw=True)
+        self._references = [node.resolve_topic_name(topic) for topic in references.values()]
         self._silence, self._seen_ns, self._standstill = 0.0, follower.now_ns, ""
         self._looked_at = time.monotonic()
         self._look_period = follower.settings.fixed.state_timeout / _LOOKS
         steady_timer(node, self._look_period, self._look_for_states)
+
+    def awaited(self) -> Wait | None:
+        """Return what goals cannot be followed without, for the log."""
+        unseen_joints = self._follower.unseen
+        if unseen_joints:
+            topics = ", ".join(each.topic_name for each in self._states)
+            return Wait("states", "come", topics, self._states_found, unseen_joints)
+        if not self.subscribers():
+            topic = self._publisher.topic_name
+            return Wait("a controller", "is there", topic, self._subscribers_found)
+        return None
+
+    def awaited_references(self) -> Wait | None:
+        """Return what goals are followed unwatched without, for the log."""
+        joints = self._follower.settings.joints
+        silent = [joint for joint, has in zip(joints, self.has_reference, strict=True) if not has]
+        if not silent or self._follower.unseen or not self.subscribers():
+            return None
+        return Wait(
+            "the controllers' references", "come", "", self._references_found, tuple(silent)
+        )
+
+    def _states_found(self, joints: Sequence[str]) -> str:
+        views = [other_side(self._node, states) for states in self._states]
+        parts = [described(view) for view in views]
+        others = unseen(joints, self._seen.names())
+        if not others and any(map(fits, views)):
+            others = "nothing of these joints has come"
+        return "; ".join([*parts, *([others] if others else [])])
+
+    def _subscribers_found(self, joints: Sequence[str]) -> str:
+        return described(other_side(self._node, self._publisher))
+
+    def _references_found(self, joints: Sequence[str]) -> str:
+        """Describe the first topic on which nothing has come: that of the others is alike."""
+        topic = self._references[self.has_reference.index(False)]
+        view = topic_view(self._node, topic, PUBLISHER, JointState, NEWEST_REFERENCE)
+        return f"{described(view)}; until they come it is not seen whether joints follow"
 
     def publish(self, trajectory: GroupTrajectory) -> None:
         raw = encode_trajectory(
@@ -130,6 +181,8 @@ class GroupTopics:
         except MessageError as error:
             self._refuse(f"state refused: {error}")
             return
+        if len(parts) < len(self._reader.joints):
+            self._seen.newest = raw
         if parts:
             missed = self._follower.misses
             self._act(self._follower.take_state(stamp_ns, parts))

@@ -29,7 +29,7 @@ from hpid_ros.nodes.core.middleware import (
 )
 
 STATES = "joint_states"
-_COMMANDS = "joint_commands"
+COMMANDS = "joint_commands"
 
 TakeState = Callable[[bytes], None]
 """Is called with each state as it came, in CDR."""
@@ -57,7 +57,7 @@ def _joint_state_sink(node: Node, joint: str, sender: str) -> Sink:
     The convention of Isaac Sim and of ``topic_based_ros2_control``. Efforts have no frame: in its
     place stands who sends them.
     """
-    publisher = _publisher(node, JointState, _COMMANDS, OFFERED)
+    publisher = _publisher(node, JointState, COMMANDS, OFFERED)
     publish, encode = publisher.publish, JointStateTemplate([joint], sender, effort=True).encode
     return Sink(
         publisher,
@@ -143,6 +143,11 @@ class SharedTopics:
         self._takes = {node: take for node, take in self._takes.items() if node != controller}
         self._settle()
 
+    @property
+    def states(self) -> Subscription | None:
+        """The subscription; None while not all are ready."""
+        return self._subscription
+
     def _settle(self) -> None:
         """Subscribe once all are ready, and until all have left."""
         if self._subscription is None:
@@ -165,10 +170,10 @@ class SharedTopics:
                 self._publish_answers()
 
     def sink(self, controller: Node, joint: str, sender: str) -> Sink:
-        if not self.has_same(controller, _COMMANDS):
+        if not self.has_same(controller, COMMANDS):
             return _joint_state_sink(controller, joint, sender)
         if self._publisher is None:
-            self._publisher = _publisher(self._node, JointState, _COMMANDS, OFFERED)
+            self._publisher = _publisher(self._node, JointState, COMMANDS, OFFERED)
             own = self._node.get_fully_qualified_name()
             self._sender = own + sender.removeprefix(node_of(sender))
         self._joints.append(joint)

@@ -34,6 +34,7 @@ from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import OFFERED, steady_timer
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.core.waiting import PUBLISHER, Wait, Waiting, described, topic_view
 
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]
@@ -41,6 +42,7 @@ _DIAGNOSTICS_PERIOD = 1.0  # [s]
 _AT_ONCE = 64  # messages
 _LATCHED_WITHIN = 2.0  # [s] for a latched message; its topic may have none
 _STANDSTILL = 2.0  # [s] between two reports: well below the lease after which nobody counts
+_SELDOM = frozenset(("/parameter_events", "/rosout"))  # topics that may well stay empty
 _MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
 
 
@@ -103,6 +105,10 @@ class BagRecorder(executor.ClosingNode):
         }
         self._waiting = [topic for topic in self._waiting if topic not in handed]
         self._look = steady_timer(self, _LOOK_PERIOD, self._subscribe_next)
+        waiting = Waiting(self)
+        waiting.add(self._awaited)
+        waiting.add(self._awaited_messages)
+        waiting.begin()
         steady_timer(self, _REPORT_PERIOD, self._report)
         steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
 
@@ -125,6 +131,31 @@ class BagRecorder(executor.ClosingNode):
         self._look.cancel()
         self.is_recording = True
         self._status.send("recording")
+
+    def _awaited(self) -> Wait | None:
+        """Return the topic whose publisher the bag waits for, for the log."""
+        if self._failure or not self._waiting:
+            return None
+        topic, rest = self._waiting[0], self._waiting[1:]
+        return Wait(
+            f"a publisher of {topic}", "is there", topic, partial(self._found, topic, rest)
+        )
+
+    def _found(self, topic: str, rest: Sequence[str], joints: Sequence[str]) -> str:
+        line = described(topic_view(self, topic, PUBLISHER))
+        return f"{line}; only then are recorded: {', '.join(rest)}" if rest else line
+
+    def _awaited_messages(self) -> Wait | None:
+        """Return the topics that are recorded and empty, for the log."""
+        empty = [topic for topic, count in self._writer.counts.items() if not count]
+        topics = sorted({*empty} - _SELDOM)
+        if self._failure or self._waiting or not topics:
+            return None
+        found = partial(self._messages_found, topics)
+        return Wait("the first message", "has come", ", ".join(topics), found)
+
+    def _messages_found(self, topics: Sequence[str], joints: Sequence[str]) -> str:
+        return "; ".join(described(topic_view(self, topic, PUBLISHER)) for topic in topics)
 
     def keep(self, topic: str, raw: bytes) -> None:
         """Record a message of a topic that is handed over, if it is to be recorded.

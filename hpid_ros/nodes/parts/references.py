@@ -44,6 +44,8 @@ def column_of(decoded: TrajectoryArrays, joint: str) -> Column | None:
     return decoded.column(joint)
 
 
+TRAJECTORY = "joint_trajectory"
+
 _COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
 
 
@@ -63,7 +65,7 @@ class TrajectorySubscriptions:
         # Only the contract's profile may be overridden: both would have the same parameters.
         latched = node.create_subscription(
             JointTrajectory,
-            "joint_trajectory",
+            TRAJECTORY,
             partial(self._on_message, True),
             LATCHED,
             raw=True,
@@ -73,7 +75,7 @@ class TrajectorySubscriptions:
         )
         volatile = node.create_subscription(
             JointTrajectory,
-            "joint_trajectory",
+            TRAJECTORY,
             partial(self._on_message, False),
             RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
             raw=True,
