@@ -32,7 +32,8 @@ from hpid_ros.nodes.core.middleware import full_name, steady_timer
 PATIENCE = 2.0  # [s]
 _LONGEST_PATIENCE = 64.0  # [s]; what flaps is told ever more rarely
 _LOOK_PERIOD = 0.1  # [s]
-_NAMES = 10  # of nodes, topics or joints in a line
+_NAMES = 10  # of nodes or joints in a line
+_TOPICS = 5
 _UNNAMED = "_NODE_NAME_UNKNOWN_"  # of rmw, before a node has published its endpoints
 
 PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
@@ -74,7 +75,7 @@ def described(view: TopicView) -> str:
         elif end.misfit:
             parts.append(f"{end.node} {end.misfit}")
     if not names and view.elsewhere:
-        others = listed_names(view.elsewhere, _NAMES)
+        others = listed_names(view.elsewhere, _TOPICS)
         parts.append(f"{view.role}s are on {others}: is a namespace or a remapping missing?")
     if not names and view.empty_domain is not None:
         parts.append(f"no other node is seen in the domain {view.empty_domain} (ROS_DOMAIN_ID)")
@@ -92,7 +93,7 @@ def unseen(joints: Sequence[str], seen: Iterable[str]) -> str:
     if not known:
         return ""
     pairs = [(joint, nearest_name(joint, known)) for joint in joints]
-    hints = [f"{joint} {near!r}" for joint, near in pairs if near]
+    hints = [f"{near!r} for {joint}" for joint, near in pairs if near]
     if len(joints) == 1 and hints:
         hints = [repr(pairs[0][1])]
     line = f"joints seen there: {listed_names(known, _NAMES)}"
@@ -175,7 +176,7 @@ def topic_view(
 
 
 def _elsewhere(node: Node, topic: str, wanted: str, role: str) -> tuple[str, ...]:
-    """Return topics of the wanted type that have what is missed: of the same last name, or all."""
+    """Return topics of the wanted type that have what is missed, those of a like name first."""
     count = node.count_publishers if role == PUBLISHER else node.count_subscribers
     own = node.get_fully_qualified_name()
     known = [
@@ -186,12 +187,14 @@ def _elsewhere(node: Node, topic: str, wanted: str, role: str) -> tuple[str, ...
         and not name.startswith(f"{own}/")
         and count(name)
     ]
-    last = topic.rpartition("/")[2]
-    same = sorted(name for name in known if name.rpartition("/")[2] == last)
-    if same or (role == SUBSCRIBER or not wanted):
-        near = nearest_name(topic, known)
-        return tuple(same) or ((near,) if near else ())
-    return tuple(sorted(known))
+    if role == PUBLISHER and wanted and not any(_last(name) == _last(topic) for name in known):
+        return tuple(sorted(known))
+    near = nearest_name(_last(topic), {_last(name) for name in known})
+    return tuple(sorted(name for name in known if _last(name) == near))
+
+
+def _last(topic: str) -> str:
+    return topic.rpartition("/")[2]
 
 
 def _alone(node: Node) -> int | None:

@@ -105,9 +105,8 @@ class GroupTopics:
         silent = [joint for joint, has in zip(joints, self.has_reference, strict=True) if not has]
         if not silent or self._follower.unseen or not self.subscribers():
             return None
-        return Wait(
-            "the controllers' references", "come", "", self._references_found, tuple(silent)
-        )
+        what = "the controllers' references"
+        return Wait(what, "come", "", self._references_found, tuple(silent))
 
     def _states_found(self, joints: Sequence[str]) -> str:
         views = [other_side(self._node, states) for states in self._states]

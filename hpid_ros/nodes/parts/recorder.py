@@ -137,11 +137,10 @@ class BagRecorder(executor.ClosingNode):
         if self._failure or not self._waiting:
             return None
         topic, rest = self._waiting[0], self._waiting[1:]
-        return Wait(
-            f"a publisher of {topic}", "is there", topic, partial(self._found, topic, rest)
-        )
+        found = partial(self._found, topic, rest)
+        return Wait(f"a publisher of {topic}", "is there", topic, found)
 
-    def _found(self, topic: str, rest: Sequence[str], joints: Sequence[str]) -> str:
+    def _found(self, topic: str, rest: Sequence[str], _: Sequence[str]) -> str:
         line = described(topic_view(self, topic, PUBLISHER))
         return f"{line}; only then are recorded: {', '.join(rest)}" if rest else line
 
@@ -151,10 +150,9 @@ class BagRecorder(executor.ClosingNode):
         topics = sorted({*empty} - _SELDOM)
         if self._failure or self._waiting or not topics:
             return None
-        found = partial(self._messages_found, topics)
-        return Wait("the first message", "has come", ", ".join(topics), found)
+        return Wait("the first message", "has come", "", self._messages_found, tuple(topics))
 
-    def _messages_found(self, topics: Sequence[str], joints: Sequence[str]) -> str:
+    def _messages_found(self, topics: Sequence[str]) -> str:
         return "; ".join(described(topic_view(self, topic, PUBLISHER)) for topic in topics)
 
     def keep(self, topic: str, raw: bytes) -> None:
