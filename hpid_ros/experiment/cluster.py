@@ -26,9 +26,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import hpid_ros
-from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.base.files import write_file
 from hpid_ros.base.processes import raise_if_interrupted
+from hpid_ros.base.text import shown
 from hpid_ros.experiment.batch import Records, RunRecord, RunTask, WorldKeeper, attempted
 from hpid_ros.experiment.result_folder import versions
 from hpid_ros.robot.description import RobotDescription, find_mesh
@@ -244,13 +245,20 @@ def _connect(address: str) -> Any:
             asyncio.run(asyncio.wait_for(_identity(address), _ANSWERS_WITHIN))
             connect: Any = Client
             return connect(address, timeout=_ANSWERS_WITHIN, set_as_default=False, name="hpid")
-        except TypeError:  # of what distributed is given, only the context of TLS can be wrong
-            raise SettingError(
-                "tls:// needs certificates: distributed.comm.tls in Dask's configuration"
-            ) from None
+        except HpidError:
+            raise
         except (OSError, asyncio.TimeoutError):  # which is no OSError before Python 3.11
-            raise RunError(
-                f"no Dask scheduler answers at {address} within {_ANSWERS_WITHIN:g} s"
+            raise SettingError(
+                f"--scheduler: no Dask scheduler answers at {address} within {_ANSWERS_WITHIN:g} s"
+            ) from None
+        except Exception as error:  # whatever distributed makes of an answer that is none of Dask
+            if isinstance(error, TypeError) and address.startswith("tls://"):
+                raise SettingError(
+                    "tls:// needs certificates: distributed.comm.tls in Dask's configuration"
+                ) from None
+            raise SettingError(
+                f"--scheduler: what answers at {address} is no Dask scheduler "
+                f"({type(error).__name__})"
             ) from None
 
 
@@ -263,8 +271,8 @@ async def _identity(address: str) -> None:
     how = secure().get_connection_args("client")  # of Dask's configuration, as a client has it
     remote = connect(address, timeout=_ANSWERS_WITHIN, connection_args=how)
     try:
-        kind = (await remote.identity())["type"]
+        kind = str((await remote.identity())["type"])
     finally:
         await remote.close_rpc()
     if kind != "Scheduler":
-        raise RunError(f"at {address} is no scheduler of Dask, but a {kind.lower()}")
+        raise SettingError(f"--scheduler: at {address} is no Dask scheduler, but a {shown(kind)}")

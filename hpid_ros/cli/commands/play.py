@@ -50,7 +50,8 @@ def run(options: argparse.Namespace) -> int:
             _start(group, Path(folder), experiment, label, has_window=not options.no_window)
             bridge = bridge_name(experiment.world)
             _wait_for(group, bridge, "started", "all controllers", _STARTS_WITHIN)
-            _print(console, experiment, label, has_page=_start_page(group, options))
+            page = options.no_page or _start_page(group, options)
+            _print(console, experiment, label, is_page_missing=not page)
             while True:
                 _look_after(group)
                 time.sleep(_LOOK_PERIOD)
@@ -103,7 +104,7 @@ def _start(
 
 def _start_page(group: NodeGroup, options: argparse.Namespace) -> bool:
     """Start the live page where its library is installed, and print its address."""
-    if options.no_page or find_spec("nicegui") is None:
+    if find_spec("nicegui") is None:
         return False
     arguments = parameters(open_browser=not options.no_browser, port=options.port)
     group.start(_PAGE, f"live.{_PAGE}", arguments)
@@ -112,7 +113,7 @@ def _start_page(group: NodeGroup, options: argparse.Namespace) -> bool:
     return True
 
 
-def _print(console: Console, experiment: Experiment, label: str, *, has_page: bool) -> None:
+def _print(console: Console, experiment: Experiment, label: str, *, is_page_missing: bool) -> None:
     joints = experiment.world.joints
     chosen = _environment()
     is_alone = chosen.get("ROS_LOCALHOST_ONLY") == "1" or (
@@ -124,7 +125,7 @@ def _print(console: Console, experiment: Experiment, label: str, *, has_page: bo
         f"robot: {experiment.name}, {len(joints)} joints under {label}, in real time by "
         f"{experiment.world.engine}, on {where}"
     ]
-    if not has_page:
+    if is_page_missing:
         lines.append("no page: pip install 'hpid_ros[live]' adds it")
     lines += [
         "in another terminal:",
