@@ -8,14 +8,17 @@ below the environment's prefix) and in a ROS installation (below the ament prefi
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import json
 import os
 import re
 import secrets
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +81,29 @@ def write_file(path: Path, content: str | bytes) -> None:
         if isinstance(error, OSError):
             error.filename, error.filename2 = str(path), None  # what the person has named
         raise
+
+
+@contextmanager
+def finished_folder(path: Path) -> Iterator[Path]:
+    """Give the place of a new folder, which takes its name when the block has ended without error.
+
+    Until then it lies next to that name, in a folder called ``NAME.unfinished-...``: whatever
+    interrupts the block leaves nothing of the name itself. What is there already stays.
+
+    Raises:
+        FileExistsError: If there is something of that name, at the end as at the beginning.
+    """
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, "it exists already", str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    around = Path(tempfile.mkdtemp(prefix=f"{path.name[:40]}.unfinished-", dir=path.parent))
+    try:
+        yield around / path.name
+        if os.path.lexists(path):  # since then
+            raise FileExistsError(errno.EEXIST, "it exists already", str(path))
+        (around / path.name).rename(path)
+    finally:
+        shutil.rmtree(around, ignore_errors=True)
 
 
 _AMENT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")

@@ -57,8 +57,9 @@ def _run(options: argparse.Namespace) -> int:
             if options.command in ("compare", "run") and not vars(options).get("in_process"):
                 how = " without --in-process" if options.command == "compare" else ""
                 require_ros(f"hpid {options.command}{how}")
-                from hpid_ros.experiment.processes import warm_up
+                from hpid_ros.experiment.processes import require_shared_memory, warm_up
 
+                require_shared_memory()  # before a folder is made
                 warm_up()
             own = (options.command.replace("-", "_"), "run")
             name, function = _TOGETHER.get(options.command, own)

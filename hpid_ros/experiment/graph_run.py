@@ -31,10 +31,12 @@ from hpid_ros.experiment.in_process import (
 )
 from hpid_ros.experiment.processes import (
     NodeGroup,
+    blaming_shared_memory,
     closed_environment,
     own_domain,
     parameters,
     require_no_sockets,
+    require_shared_memory,
 )
 from hpid_ros.simulation.gripper import task_topics
 from hpid_ros.simulation.reports import REPORT_RATE
@@ -213,8 +215,10 @@ def run_on_graph(
     options = options or GraphOptions()
     begun = [time.monotonic()]
     require_node_names(each.joint for each in experiment.controllers[label])
+    require_shared_memory()
     nodes = GraphNodes(experiment, label, bag, folder, options)
     with (
+        blaming_shared_memory(),
         own_domain() as domain,
         NodeGroup(
             closed_environment(domain), folder, is_batch=not options.is_realtime, is_forked=True

@@ -18,6 +18,7 @@ import fcntl
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -35,6 +36,8 @@ from hpid_ros.base.processes import uninterrupted
 from hpid_ros.experiment.forking import Beginning, ForkedProcess, ForkServer
 
 SHARED_MEMORY = Path("/dev/shm")
+ROOM = 64 * 2**20  # [bytes] of shared memory for a run of eleven processes
+_LEAST_ROOM = 16 * 2**20  # [bytes]; with 12 MB not all nodes of the shortest run could be made
 YOUNG = 30.0  # [s]; a process that is just starting may not hold its locks yet
 
 _LOCKS = ("_el", "_sl")  # of one listener, or of several
@@ -117,6 +120,42 @@ _OPENING = (
 _DOMAINS = range(1, 102)
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250  # of the DDSI-RTPS specification
 _SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
+
+
+def shared_memory_left(folder: Path = SHARED_MEMORY) -> int:
+    """Return how many bytes of shared memory are left; none where there is no place for any."""
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        return 0
+    return shutil.disk_usage(folder).free
+
+
+def require_shared_memory(least: int = _LEAST_ROOM) -> None:
+    """Refuse a run whose nodes could not send anything to each other."""
+    left = shared_memory_left()
+    if left < least:
+        raise RunError(f"{SHARED_MEMORY} is full: {_left(left)}")
+
+
+@contextmanager
+def blaming_shared_memory() -> Iterator[None]:
+    """Say of a run that fails that shared memory is short, where it is.
+
+    Fast DDS says nothing of it: nodes cannot be made, end by SIGBUS, or do not hear each other.
+    """
+    try:
+        yield
+    except RunError as error:
+        left = shared_memory_left()
+        if left >= ROOM:
+            raise
+        raise RunError(f"{error}; {SHARED_MEMORY} may have been full: {_left(left)}") from None
+
+
+def _left(left: int) -> str:
+    return (
+        f"{left / 2**20:.0f} MB are free, and nodes send each other everything there; remove what "
+        f"fills it, or give it {ROOM // 2**20} MB or more (docker run --shm-size=512m)"
+    )
 
 
 def warm_up() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from hpid_ros.base.errors import BagError, ResultExistsError, unknown_name
+from hpid_ros.base.errors import BagError, HpidError, ResultExistsError, unknown_name
+from hpid_ros.base.files import finished_folder
 from hpid_ros.messages.columns import JOINT_TRAJECTORY, TopicBatch
 from hpid_ros.messages.storage import Progress, Storage, no_progress
 
@@ -291,32 +292,57 @@ class Repair:
 def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> Repair:
     """Write what can be read of a bag into a new one, with index and ``metadata.yaml``.
 
-    The old bag is only read. Messages keep their bytes, their log times and their order.
+    The old bag is only read. Messages keep their bytes, their log times and their order. The new
+    one gets its name when it is whole.
     """
-    span_ns: tuple[int, int] | None = None
-    impossible = 0
     with Storage(source) as storage:
-        topics = storage.topics()
-        if not topics:
+        if not storage.topics():
             reasons = "; ".join(storage.unreadable) or "it has no topic"
             raise BagError(f"nothing of bag {source} can be read ({reasons})")
-        with BagWriter(target, metadata=storage.custom_data) as writer:
-            handles: dict[str, BagTopic] = {}
-            for name, info in sorted(topics.items()):
-                qos = info.qos or (_LATCHED if info.type == JOINT_TRAJECTORY else None)
-                handles[name] = writer.add_topic(name, info.type, qos, info.definition)
-            batches = storage.batches(frozenset(topics), progress or no_progress)
-            for _, topic, time_ns, raw in _in_order(batches):
-                if time_ns < 0:
-                    impossible += 1
-                    continue
-                writer.write(handles[topic], time_ns, raw)
-                first, last = span_ns or (time_ns, time_ns)
-                span_ns = min(first, time_ns), max(last, time_ns)
-        lost = list(storage.unreadable)
-        if impossible:
-            lost.append(f"{impossible} messages with a negative time")
-        return Repair(target, writer.counts, span_ns, tuple(lost))
+        try:
+            with finished_folder(target) as place:
+                saved = _rewrite(storage, place, target, progress or no_progress)
+        except HpidError:  # one of them is an OSError, too
+            raise
+        except FileExistsError:
+            raise ResultExistsError(
+                f"bag {target} exists already, nothing is overwritten"
+            ) from None
+        except OSError as error:
+            reason = error.strerror or error
+            raise BagError(f"cannot repair bag {source} into {target}: {reason}") from None
+    return replace(saved, target=target)
+
+
+def _rewrite(storage: Storage, place: Path, target: Path, progress: Progress) -> Repair:
+    """Write what can be read of an open bag into a new one, which is going to be the target."""
+    try:
+        return _rewritten(storage, place, progress)
+    except BagError as error:  # about what the person has named
+        raise BagError(str(error).replace(str(place), str(target))) from None
+
+
+def _rewritten(storage: Storage, place: Path, progress: Progress) -> Repair:
+    """Write what can be read of an open bag into a new one."""
+    span_ns: tuple[int, int] | None = None
+    impossible, topics = 0, storage.topics()
+    with BagWriter(place, metadata=storage.custom_data) as writer:
+        handles: dict[str, BagTopic] = {}
+        for name, info in sorted(topics.items()):
+            qos = info.qos or (_LATCHED if info.type == JOINT_TRAJECTORY else None)
+            handles[name] = writer.add_topic(name, info.type, qos, info.definition)
+        batches = storage.batches(frozenset(topics), progress)
+        for _, topic, time_ns, raw in _in_order(batches):
+            if time_ns < 0:
+                impossible += 1
+                continue
+            writer.write(handles[topic], time_ns, raw)
+            first, last = span_ns or (time_ns, time_ns)
+            span_ns = min(first, time_ns), max(last, time_ns)
+    lost = list(storage.unreadable)
+    if impossible:
+        lost.append(f"{impossible} messages with a negative time")
+    return Repair(place, writer.counts, span_ns, tuple(lost))
 
 
 def _in_order(batches: Iterable[TopicBatch]) -> Iterator[tuple[int, str, int, bytes]]:

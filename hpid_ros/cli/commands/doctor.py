@@ -21,14 +21,13 @@ from rich.text import Text
 from hpid_ros.base.processes import OPTIONAL, Library, raise_if_interrupted
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.terminal import output_console
-from hpid_ros.experiment.processes import SHARED_MEMORY
+from hpid_ros.experiment.processes import ROOM, SHARED_MEMORY
 from hpid_ros.simulation.settings import ENGINES
 
 # Fine; something that not everybody needs is missing; controllers or the robot will not run.
 OK, NOTE, BAD = "ok", "note", "bad"
 _LOOKS = {OK: "green", NOTE: "yellow", BAD: "red"}
 _PYTHONS = (3, 10), (3, 13)  # the oldest, and the newest that the suite was run with
-_ROOM = 64 * 2**20  # [bytes] of shared memory for a run of eleven processes
 _FOUND_WITHIN = 1.0  # [s]
 _OPENGL = "apt install libegl1 libgl1-mesa-dri (or libosmesa6)"
 _NO_ROS = "not tried: there is no ROS 2"
@@ -146,7 +145,7 @@ def shared_memory() -> Finding:
         )
     free = shutil.disk_usage(SHARED_MEMORY).free
     found = f"{free / 2**20:.0f} MB free in {SHARED_MEMORY}"
-    if free < _ROOM:
+    if free < ROOM:
         remedy = "remove what fills it, or make it larger (docker run --shm-size=512m)"
         return Finding(BAD, found, remedy)
     return Finding(OK, found)

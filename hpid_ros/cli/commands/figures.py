@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from hpid_ros.base.errors import ResultExistsError, SettingError
+from hpid_ros.base.names import node_sections
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import progress
@@ -86,10 +87,8 @@ def _summary(result: Path) -> Summary:
     nodes = result / "nodes" / next(iter(bags))
     document = load_document(nodes / "world.yaml", SettingError)
     world = world_of(document.values, document).world
-    bridge = load_document(nodes / "bridge.yaml", SettingError).values
-    (parameters,) = bridge.values()
+    link = _end_effector(nodes / "bridge.yaml")
     description = RobotDescription.load(world.robot_description)
-    link = parameters["ros__parameters"]["ee_link"]
     how = Measuring(
         BagSelection(joints=world.joints),
         robot=TaskFrame(
@@ -98,3 +97,12 @@ def _summary(result: Path) -> Summary:
         description=description,
     )
     return summary(measure_all([Source(bag, label) for label, bag in bags.items()], how))
+
+
+def _end_effector(bridge: Path) -> str:
+    """Return the link that a bridge was told to report."""
+    sections = node_sections(load_document(bridge, SettingError).values)
+    links = [each.get("ee_link") for each in sections.values()]
+    if len(links) != 1 or not isinstance(links[0], str):
+        raise SettingError(f"{bridge} must have the parameter ee_link of one bridge, a text")
+    return links[0]
