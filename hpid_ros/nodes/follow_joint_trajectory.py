@@ -152,6 +152,7 @@ class JointTrajectoryController(executor.ClosingNode):
             self, self._begin, lambda: self._act(self._follower.cancel()), self._health.note
         )
         self._is_ready = False
+        self._namesakes: list[str] = []
         self._waiting = Waiting(self)
         self._waiting.add(self._topics.awaited)
         self._waiting.add(self._topics.awaited_references)
@@ -214,6 +215,7 @@ class JointTrajectoryController(executor.ClosingNode):
 
     def _report(self) -> None:
         warnings = []
+        namesakes = self._look_for_namesakes()
         if rivals := self._topics.rivals():
             warnings.append(f"{', '.join(sorted(rivals))} may send trajectories, too")
         silent = [
@@ -231,8 +233,8 @@ class JointTrajectoryController(executor.ClosingNode):
         if feedback is not None and not against:
             course = f"following a goal for {feedback.since_start_ns * 1e-9:.3g} s"
         self._health.publish(
-            ERROR if against else WARN if warnings else OK,
-            "; ".join([course, *warnings]),
+            ERROR if against or namesakes else WARN if warnings else OK,
+            "; ".join([course, *([namesakes] if namesakes else []), *warnings]),
             {
                 **self._health.readings(),
                 "refused messages": self._topics.misread,
@@ -242,6 +244,23 @@ class JointTrajectoryController(executor.ClosingNode):
                 "last fault": self._health.last_fault,
             },
         )
+
+    def _look_for_namesakes(self) -> str:
+        """Return in a line which other servers take the same goals, and log it when it changes."""
+        names = self._server.namesakes()
+        line = ""
+        if names:
+            line = (
+                f"another action server is called {self._server.name}, of {', '.join(names)}: "
+                "each takes every goal, and clients get the answers of all"
+            )
+        if names != self._namesakes:
+            self._namesakes = names
+            if line:
+                self._health.fault(line)
+            else:
+                self.get_logger().info(f"no other action server is called {self._server.name} now")
+        return line
 
     def begin_stop(self) -> Future | None:
         """Stop the joints, and give every client its result."""
@@ -256,6 +275,12 @@ class JointTrajectoryController(executor.ClosingNode):
         """Wait until the last trajectory has been acknowledged."""
         self._server.close()
         self._topics.wait_until_acknowledged()
+
+    def destroy_node(self) -> None:
+        """Destroy the node, and its action first."""
+        if "_server" in vars(self):  # else it was refused while it was made
+            self._server.destroy()
+        super().destroy_node()
 
 
 USAGE = Usage(

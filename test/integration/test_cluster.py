@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -217,7 +218,7 @@ def test_a_run_that_a_cluster_cannot_read_is_one_line():
         ("nobody", "--scheduler must be tcp://HOST:PORT, not 'nobody'"),
         ("127.0.0.1:99999", "--scheduler must be tcp://HOST:PORT, not '127.0.0.1:99999'"),
         ("tls://127.0.0.1:1", "tls:// needs certificates: distributed.comm.tls in Dask's config"),
-        ("127.0.0.1:1", "no Dask scheduler answers at 127.0.0.1:1 within 0.5 s"),
+        ("127.0.0.1:1", "--scheduler: no Dask scheduler answers at 127.0.0.1:1 within 0.5 s"),
         ("without", "--scheduler needs Dask (import of distributed halted"),
     ],
 )
@@ -227,10 +228,43 @@ def test_an_address_that_is_none_is_one_line(address, line, tmp_path, capsys, mo
         address = "127.0.0.1:8786"
         monkeypatch.setitem(sys.modules, "distributed", None)
     code = study([STEP], tmp_path / "s", "--scheduler", address)
-    assert code == (FAILED if "no Dask" in line else BAD_INPUT)
+    assert code == BAD_INPUT
     (told,) = capsys.readouterr().err.splitlines()
     assert told.startswith(f"hpid: {line}")
     assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize(
+    ("said", "line"),
+    [
+        (b"", "no Dask scheduler answers at"),
+        (b"SSH-2.0-OpenSSH_9.6\r\n", "what answers at"),
+        (bytes(4096), "what answers at"),
+        ((2**40).to_bytes(8, "little") + b"x", "what answers at"),
+    ],
+)
+def test_whatever_answers_in_place_of_a_scheduler_is_one_line(
+    said, line, tmp_path, capfd, monkeypatch
+):
+    """A port of another service: what distributed makes of its bytes was a traceback."""
+    monkeypatch.setattr(client, "_ANSWERS_WITHIN", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=answer_all, args=(server, said), daemon=True).start()
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        code = study([STEP], tmp_path / "s", "--scheduler", address)
+    assert code == BAD_INPUT
+    (told,) = capfd.readouterr().err.splitlines()
+    assert told.startswith(f"hpid: --scheduler: {line} {address}")
+    assert not (tmp_path / "s").exists()
+
+
+def answer_all(server, said):
+    """Say the same to each client, until the server is closed."""
+    clients = []
+    with suppress(OSError):
+        while True:
+            clients.append(server.accept()[0])
+            clients[-1].sendall(said)
 
 
 @pytest.mark.parametrize(

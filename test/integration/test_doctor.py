@@ -79,7 +79,7 @@ def test_nodes_that_may_not_find_each_other_are_told_with_the_setting(monkeypatc
 
 def test_shared_memory_that_is_full_or_not_there_is_told(monkeypatch, tmp_path):
     monkeypatch.setattr(doctor, "SHARED_MEMORY", tmp_path)
-    monkeypatch.setattr(doctor, "_ROOM", 2**80)
+    monkeypatch.setattr(doctor, "ROOM", 2**80)
     assert "--shm-size" in doctor.shared_memory().remedy
     monkeypatch.setattr(doctor, "SHARED_MEMORY", Path("/nowhere"))
     assert doctor.shared_memory().state == doctor.BAD

@@ -51,6 +51,20 @@ def test_figures_are_drawn_of_a_result_as_with_it(result, every, hpid, refused):
     assert drawn(result) == before | {"positions.png": b"mine"}
 
 
+@pytest.mark.parametrize(
+    "bridge",
+    ["", "[]", "a: b", "/**/b: 1", "/**/b:\n  ros__parameters: {ee_link: 3}", "b: [1", "\0"],
+)
+def test_parameters_of_a_bridge_that_were_tampered_with_are_one_line(
+    result, tmp_path, refused, bridge
+):
+    folder = tmp_path / "result"
+    shutil.copytree(result, folder)
+    for file in folder.glob("nodes/*/bridge.yaml"):
+        file.write_text(bridge)
+    assert "bridge.yaml" in refused("figures", folder, "--force")
+
+
 def test_figures_of_one_of_several_engines_belong_to_the_whole_result(
     result, tmp_path, hpid, refused
 ):

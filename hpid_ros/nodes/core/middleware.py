@@ -161,6 +161,10 @@ def _graph(node: Node) -> tuple[object, ...]:
     return node.get_topic_names_and_types(no_demangle=True), node.get_node_names_and_namespaces()
 
 
+UNNAMED = "_NODE_NAME_UNKNOWN_"
+"""What rmw calls a node that has not published its endpoints yet."""
+
+
 def full_name(endpoint: TopicEndpointInfo) -> str:
     """Return the full name of the node that has a publisher or a subscription."""
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"

@@ -27,14 +27,13 @@ from hpid_ros.base.errors import MessageError, listed_names, nearest_name
 from hpid_ros.base.text import bounded
 from hpid_ros.messages.joint_state import decode_joint_state
 from hpid_ros.nodes.core.executor import ClosingNode
-from hpid_ros.nodes.core.middleware import full_name, steady_timer
+from hpid_ros.nodes.core.middleware import UNNAMED, full_name, steady_timer
 
 PATIENCE = 2.0  # [s]
 _LONGEST_PATIENCE = 64.0  # [s]; what flaps is told ever more rarely
 _LOOK_PERIOD = 0.1  # [s]
 _NAMES = 10  # of nodes or joints in a line
 _TOPICS = 5
-_UNNAMED = "_NODE_NAME_UNKNOWN_"  # of rmw, before a node has published its endpoints
 
 PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
 
@@ -167,7 +166,7 @@ def topic_view(
         if profile is not None:
             pair = (info.qos_profile, profile) if is_publisher else (profile, info.qos_profile)
             against = misfit(*pair, by_this_node=not is_publisher)
-        name = "a node without a name yet" if info.node_name == _UNNAMED else name
+        name = "a node without a name yet" if info.node_name == UNNAMED else name
         ends.append(Endpoint(name, info.topic_type, against))
     wanted = "" if kind is None else type_name(kind)
     if ends:
@@ -177,7 +176,11 @@ def topic_view(
 
 def _elsewhere(node: Node, topic: str, wanted: str, role: str) -> tuple[str, ...]:
     """Return topics of the wanted type that have what is missed, those of a like name first."""
-    count = node.count_publishers if role == PUBLISHER else node.count_subscribers
+    find = (
+        node.get_publishers_info_by_topic
+        if role == PUBLISHER
+        else node.get_subscriptions_info_by_topic
+    )
     own = node.get_fully_qualified_name()
     known = [
         name
@@ -185,7 +188,7 @@ def _elsewhere(node: Node, topic: str, wanted: str, role: str) -> tuple[str, ...
         if name != topic
         and (not wanted or wanted in types)
         and not name.startswith(f"{own}/")
-        and count(name)
+        and any(not wanted or end.topic_type == wanted for end in find(name))
     ]
     if role == PUBLISHER and wanted and not any(_last(name) == _last(topic) for name in known):
         return tuple(sorted(known))

@@ -30,7 +30,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.nodes.core.executor import ClosingNode
-from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.middleware import UNNAMED, full_name, steady_timer
 from hpid_ros.nodes.core.services import Answers
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, Feedback
 from hpid_ros.nodes.parts.goals import GoalError, GoalRequest, Result, ResultCode
@@ -185,6 +185,18 @@ class GoalServer:
             result_timeout=_RESULTS_KEPT,
         )
 
+    def namesakes(self) -> list[str]:
+        """Return full names of the nodes of other action servers of this name, as in the graph.
+
+        A client's goal goes to all of them, and it gets the answers of all.
+        """
+        ends = self._node.get_publishers_info_by_topic(f"{self.name}/_action/status")
+        named = [full_name(end) for end in ends if end.node_name != UNNAMED]  # yet
+        names, own = sorted(named), self._node.get_fully_qualified_name()
+        if own in names:
+            names.remove(own)  # once: another one may have the same name
+        return names
+
     def send_feedback(self, feedback: Feedback, names: tuple[str, ...]) -> None:
         if self._active is not None:
             message = fill_feedback(self._type.Feedback(), names, feedback)
@@ -201,6 +213,10 @@ class GoalServer:
         self._replace_waiting(_ENDED)
         self._left = Future() if self._ending else None
         return self._left
+
+    def destroy(self) -> None:
+        """Let the middleware forget the action: what it holds would keep the node on the graph."""
+        self._server.destroy()
 
     def close(self) -> None:
         """Read no more goals."""

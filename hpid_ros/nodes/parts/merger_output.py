@@ -28,6 +28,7 @@ from hpid_ros.nodes.core.middleware import (
     LATCHED,
     NEWEST_COMMAND,
     RARE,
+    UNNAMED,
     full_name,
     held,
     overridable,
@@ -176,7 +177,6 @@ class GroupOutput:
 _LOOK_EVERY = 0.05  # [s]
 _LOOK_AGAIN = 0.002  # [s], while it is not known whose a subscription is
 _NAMED_WITHIN = 0.5  # [s]; then it is taken for the receiver's, which is asked again
-_NAMELESS = "_NODE_NAME_UNKNOWN_"  # of rmw, before a node has published its subscriptions
 _ANSWER_WITHIN = 1.0  # [s]; then it is asked again
 _ASKED = ("joints", "interface_name")
 _ACTIVITY = "Controllers Activity"  # of a manager's diagnostics
@@ -259,7 +259,7 @@ class ReceiverWatch:
             endpoint = bytes(info.endpoint_gid)
             if not wanted or wanted == full_name(info):
                 found.add(endpoint)
-            elif info.node_name == _NAMELESS:
+            elif info.node_name == UNNAMED:
                 nameless[endpoint] = self._nameless.get(endpoint, now)
         self._nameless = nameless
         taken = {each for each, since in nameless.items() if now - since > _NAMED_WITHIN}

@@ -12,6 +12,9 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -32,7 +35,7 @@ from hpid_ros.messages.joint_trajectory import (
 from hpid_ros.messages.reports import decode_numbers
 from hpid_ros.motion.joint_trajectory import Column
 from hpid_ros.nodes.core.executor import ClosingNode
-from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable, steady_timer
 from hpid_ros.nodes.core.parameters import read
 
 
@@ -49,21 +52,64 @@ TRAJECTORY = "joint_trajectory"
 _COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
 
 
+_LATCHED_FOR = 5.0  # [s] for the latched message, which is sent when publisher and reader match
+_LOOK_AGAIN = 0.5  # [s] after a match, which the graph may not show at once
+
+
 class TrajectorySubscriptions:
     """Takes ``joint_trajectory`` from latched and from volatile publishers alike.
 
     A subscription that asks for the latched message gets nothing at all from a volatile
-    publisher (``ros2 topic pub``, rqt, MoveIt), and a volatile one gets nothing that was
-    published before. So there are both, and what a latched publisher sends to both is taken
-    once.
+    publisher (``ros2 topic pub``, rqt, MoveIt), whose log says so, and a volatile one gets
+    nothing that was published before. So there is a volatile one, and while a latched publisher
+    is new another one, for what it had published before. What comes by both is taken once.
     """
 
     def __init__(self, node: Node, take: Callable[[bytes, bool], None]) -> None:
+        self._node = node
         self._take = take  # with whether it is latched: it may be from before the subscription
         self._taken: tuple[bool, bytes] | None = None
         self._taken_at = -math.inf
-        # Only the contract's profile may be overridden: both would have the same parameters.
-        latched = node.create_subscription(
+        self._latched: Subscription | None = None
+        self._known: set[bytes] = set()  # latched publishers that were asked
+        self._timers: dict[Callable[[], None], Timer] = {}
+        self._volatile = node.create_subscription(
+            JointTrajectory,
+            TRAJECTORY,
+            partial(self._on_message, False),
+            RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(matched=lambda _: self._matched()),
+        )
+        self._look()
+
+    def close(self) -> None:
+        for timed in list(self._timers):
+            self._stop(timed)
+        self._end_latched()
+        self._node.destroy_subscription(self._volatile)
+
+    def _matched(self) -> None:
+        self._look()
+        self._start(self._look_again, _LOOK_AGAIN)
+
+    def _look_again(self) -> None:
+        self._stop(self._look_again)
+        self._look()
+
+    def _look(self) -> None:
+        """Ask latched publishers that are new for what they had published before."""
+        latched = {
+            bytes(each.endpoint_gid)
+            for each in self._node.get_publishers_info_by_topic(self._volatile.topic_name)
+            if each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        }
+        is_new, self._known = not latched <= self._known, latched
+        if not is_new:
+            return
+        self._end_latched()
+        # Only this profile may be overridden: both would have the same parameters.
+        self._latched = self._node.create_subscription(
             JointTrajectory,
             TRAJECTORY,
             partial(self._on_message, True),
@@ -73,14 +119,22 @@ class TrajectorySubscriptions:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=overridable(),
         )
-        volatile = node.create_subscription(
-            JointTrajectory,
-            TRAJECTORY,
-            partial(self._on_message, False),
-            RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
-            raw=True,
-        )
-        self.subscriptions = [latched, volatile]
+        self._start(self._end_latched, _LATCHED_FOR)
+
+    def _end_latched(self) -> None:
+        self._stop(self._end_latched)
+        if self._latched is not None:
+            self._node.destroy_subscription(self._latched)
+            self._latched = None
+
+    def _start(self, timed: Callable[[], None], after: float) -> None:
+        self._stop(timed)
+        self._timers[timed] = steady_timer(self._node, after, timed)
+
+    def _stop(self, timed: Callable[[], None]) -> None:
+        timer = self._timers.pop(timed, None)
+        if timer is not None:
+            self._node.destroy_timer(timer)
 
     def _on_message(self, is_latched: bool, raw: bytes) -> None:
         now = time.monotonic()
@@ -164,7 +218,8 @@ class ControllerReferences:
         relays = node.create_subscription(
             Float64MultiArray, "~/relay", self._on_relay, RARE, raw=True
         )
-        self._subscriptions: list[Any] = [*trajectories.subscriptions, setpoint, relays]
+        self._trajectories = trajectories
+        self._subscriptions: list[Any] = [setpoint, relays]
 
     def discard(self) -> None:
         """Forget what is still being decoded."""
@@ -172,6 +227,7 @@ class ControllerReferences:
 
     def close(self) -> None:
         self.discard()
+        self._trajectories.close()
         for each in self._subscriptions:
             self._node.destroy_subscription(each)
         self._subscriptions = []

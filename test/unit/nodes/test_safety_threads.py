@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -111,15 +112,50 @@ def test_a_joint_that_was_left_is_not_commanded_by_another_thread():
     assert sent == [(MS, 5.0), (MS, 0.0)]
 
 
+def trajectory_subscriptions(*publishers):
+    """Return subscriptions next to these publishers, their node, and what was taken."""
+    node, taken = MagicMock(), []
+    node.get_publishers_info_by_topic.side_effect = lambda _: list(publishers)
+    taken_of = TrajectorySubscriptions(node, lambda raw, is_latched: taken.append(raw))
+    return taken_of, node, taken
+
+
+def publisher(name, durability=DurabilityPolicy.TRANSIENT_LOCAL):
+    return SimpleNamespace(
+        endpoint_gid=name, qos_profile=QoSProfile(depth=1, durability=durability)
+    )
+
+
+def subscribed(node):
+    """Return the callbacks of all that was ever subscribed."""
+    return [call.args[2] for call in node.create_subscription.call_args_list]
+
+
+def test_only_new_latched_publishers_are_asked_for_what_they_had_published():
+    """A volatile one would be told that nothing is sent, by its own log."""
+    publishers = [publisher(b"a", DurabilityPolicy.VOLATILE)]
+    subscriptions, node, _ = trajectory_subscriptions()
+    node.get_publishers_info_by_topic.side_effect = lambda _: list(publishers)
+    subscriptions._matched()
+    assert len(subscribed(node)) == 1
+    publishers.append(publisher(b"b"))
+    subscriptions._matched()
+    subscriptions._look_again()
+    assert len(subscribed(node)) == 2
+    subscriptions._end_latched()  # by its timer
+    node.destroy_subscription.assert_called_once()
+    subscriptions._matched()
+    assert len(subscribed(node)) == 2
+    publishers[1:] = [publisher(b"c")]  # another one, perhaps a follower that was restarted
+    subscriptions._matched()
+    assert len(subscribed(node)) == 3
+    subscriptions.close()
+    assert node.destroy_subscription.call_count == 3
+
+
 def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
-    callbacks, taken = [], []
-
-    class Node:
-        def create_subscription(self, kind, topic, callback, *rest, **options):
-            callbacks.append(callback)
-
-    TrajectorySubscriptions(Node(), lambda raw, is_latched: taken.append(raw))
-    latched, volatile = callbacks
+    _, node, taken = trajectory_subscriptions(publisher(b"a"))
+    volatile, latched = subscribed(node)
     first, second = (JointTrajectory(joint_names=[name]) for name in ("elbow", "wrist"))
     for receive, message in (
         *((latched, first), (volatile, first)),  # both copies, in either order
@@ -283,6 +319,10 @@ class Listener:
 
     def create_subscription(self, kind, topic, callback, *more, **options):
         self.callbacks[topic] = callback
+        return SimpleNamespace(topic_name=topic)
+
+    def get_publishers_info_by_topic(self, topic):
+        return []
 
     def destroy_subscription(self, subscription):
         pass
