@@ -78,7 +78,8 @@ def test_one_command_starts_robot_controllers_and_page_and_ends_them(harness, pl
 @pytest.mark.faults
 @pytest.mark.parametrize("name", ["mujoco_bridge", "trajectory_publisher"])
 def test_a_node_that_dies_ends_the_others_with_one_line(harness, play, name):
-    process, _ = play("--no-page")
+    process, lines = play("--no-page")
+    assert not any("no page" in line or line.startswith("page:") for line in lines)
     nodes = nodes_of(process)
     node = next(pid for pid, module in nodes.items() if module.endswith(name))
     os.kill(node, signal.SIGKILL)
@@ -107,5 +108,5 @@ def test_where_the_nodes_are_seen_is_told_as_the_environment_says(
     for name, value in chosen.items():
         monkeypatch.setenv(name, value)
     experiment = load_experiment(experiment_file())
-    play_command._print(TextConsole(), experiment, "PID", has_page=True)
+    play_command._print(TextConsole(), experiment, "PID", is_page_missing=False)
     assert f", on {where}" in capsys.readouterr().out

@@ -35,7 +35,14 @@ from hpid_ros.messages.joint_trajectory import (
 from hpid_ros.messages.reports import decode_numbers
 from hpid_ros.motion.joint_trajectory import Column
 from hpid_ros.nodes.core.executor import ClosingNode
-from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable, steady_timer
+from hpid_ros.nodes.core.middleware import (
+    LATCHED,
+    OFFERED,
+    RARE,
+    declare_overrides,
+    overridable,
+    steady_timer,
+)
 from hpid_ros.nodes.core.parameters import read
 
 
@@ -73,6 +80,7 @@ class TrajectorySubscriptions:
         self._latched: Subscription | None = None
         self._known: set[bytes] = set()  # latched publishers that were asked
         self._timers: dict[Callable[[], None], Timer] = {}
+        declare_overrides(node, TRAJECTORY, LATCHED)
         self._volatile = node.create_subscription(
             JointTrajectory,
             TRAJECTORY,

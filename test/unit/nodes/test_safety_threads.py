@@ -324,6 +324,12 @@ class Listener:
     def get_publishers_info_by_topic(self, topic):
         return []
 
+    def resolve_topic_name(self, topic):
+        return f"/{topic}"
+
+    def has_parameter(self, name):
+        return True
+
     def destroy_subscription(self, subscription):
         pass
 
