@@ -10,10 +10,21 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Iterable, Sequence
 
-from hpid_ros.base.text import bounded
+from hpid_ros.base.text import LONGEST_NAME, bounded, name_text
 
 _SHOWN_NAMES = 100
 """Names that exist, in a message."""
+_COMPARED_NAMES = 10_000
+_LONGEST_REASON = 1000  # characters
+"""Names that exist, among which the nearest is looked for."""
+
+
+def reason_of(error: Exception) -> str:
+    """Return what an error says, in one line; of one that is not ours, its kind as well."""
+    if isinstance(error, HpidError):
+        return str(error)
+    text = " ".join(str(error)[:_LONGEST_REASON].split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 class HpidError(Exception):
@@ -90,12 +101,15 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
     names = sorted(known)
     nearest = nearest_name(str(name), names)
     hint = f" did you mean {nearest!r}?" if nearest else ""
-    return f"unknown {kind} {str(name)!r};{hint} known: {listed_names(names) or 'none'}"
+    return f"unknown {kind} {name_text(name)};{hint} known: {listed_names(names) or 'none'}"
 
 
 def nearest_name(name: str, known: Iterable[str]) -> str:
-    """Return the name that was probably meant; empty where none is like it."""
-    nearest = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    """Return the name that was probably meant; empty where none is like it, or they are many."""
+    names = sorted(known)
+    if len(name) > LONGEST_NAME or len(names) > _COMPARED_NAMES:
+        return ""
+    nearest = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return nearest[0] if nearest else ""
 
 

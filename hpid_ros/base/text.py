@@ -37,6 +37,25 @@ def bounded(text: str) -> str:
     return shown(text)
 
 
+LONGEST_NAME = 80
+"""Characters of a name that a line shows."""
+_SHOWN_NAMES = 10
+
+
+def name_text(name: object) -> str:
+    """Return a name in quotes, as ``repr``, without the rest of one that nobody would read."""
+    text = str(name)
+    if len(text) <= LONGEST_NAME:
+        return repr(text)
+    return f"{text[:LONGEST_NAME]!r}... ({len(text)} characters)"
+
+
+def names_text(names: Sequence[str]) -> str:
+    """Return the first of some names as :func:`name_text`, and how many more there are."""
+    further = f", and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
+    return f"[{', '.join(map(name_text, names[:_SHOWN_NAMES]))}{further}]"
+
+
 def shown_lines(text: str) -> str:
     """Return a text of several lines, each as :func:`shown`; tabs stay."""
     if text.replace("\n", "").isprintable():

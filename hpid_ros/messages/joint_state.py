@@ -16,7 +16,8 @@ layout stays. ``Cursor``, ``Writer`` and ``Layout`` are for any message.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
@@ -26,7 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.base.errors import MessageError
+from hpid_ros.base.text import LONGEST_NAME, name_text
 from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.messages.bounds import LENGTH, LIVE, Bounds, require_count, require_size
 
 ENCAPSULATION = 4
 _BYTE_ORDERS = {0: ">", 1: "<"}
@@ -74,22 +77,25 @@ class Cursor:
         try:
             return raw.rstrip(b"\x00").decode()
         except UnicodeDecodeError:
-            raise MessageError(f"a {self._kind} name must be UTF-8, not {raw!r}") from None
-
-    def strings(self) -> tuple[str, ...]:
-        count = self.scalar("I")
-        if count > len(self.raw):
             raise MessageError(
-                f"a {self._kind} of {len(self.raw)} bytes cannot hold {count} names"
-            )
-        return tuple(self.string() for _ in range(count))
+                f"a {self._kind} name must be UTF-8, not {raw[:LONGEST_NAME]!r}"
+            ) from None
+
+    def count(self, what: str, least: int, most: int = sys.maxsize) -> int:
+        """Return how many things follow, of so many bytes each; they fit into what is left."""
+        count = self.scalar("I")
+        require_count(self._kind, what, count, least, len(self.raw) - self.offset, most)
+        return count
+
+    def strings(self, what: str = "names", most: int = sys.maxsize) -> tuple[str, ...]:
+        return tuple([self.string() for _ in range(self.count(what, LENGTH, most))])
 
     def double(self) -> float:
         (value,) = self._values("d", 1)
         return float(value)
 
-    def doubles(self) -> tuple[float, ...]:
-        return self._values("d", self.scalar("I"))
+    def doubles(self, most: int = sys.maxsize) -> tuple[float, ...]:
+        return self._values("d", self.count("numbers", _DOUBLE, most))
 
     def integers(self, code: str) -> tuple[int, ...]:
         """Return a sequence of integers of a struct code."""
@@ -282,12 +288,27 @@ class JointStateFields(NamedTuple):
 
     def place_of(self, joint: str) -> int:
         """Return where a joint is; MessageError unless the message names it once."""
-        count = self.names.count(joint)
-        if count != 1:
-            raise MessageError(
-                f"a JointState must name each joint once, not {joint!r} {count} times"
-            )
-        return self.names.index(joint)
+        return self.places_of((joint,))[0]
+
+    def places_of(self, joints: Iterable[str], *, may_lack: bool = False) -> list[int]:
+        """Return where joints are, -1 for one that may be lacking; none is named twice."""
+        wanted = tuple(joints)
+        places = dict.fromkeys(wanted, -1)
+        for place, name in enumerate(self.names):
+            if name in places:
+                if places[name] >= 0:
+                    raise self._misnamed(name)
+                places[name] = place
+        for joint in wanted:
+            if places[joint] < 0 and not may_lack:
+                raise self._misnamed(joint)
+        return [places[joint] for joint in wanted]
+
+    def _misnamed(self, joint: str) -> MessageError:
+        times = self.names.count(joint)
+        return MessageError(
+            f"a JointState must name each joint once, not {name_text(joint)} {times} times"
+        )
 
     def require_lengths(self, *others: str) -> None:
         """Raise MessageError unless each name has a position, and all or none have the others."""
@@ -300,11 +321,13 @@ class JointStateFields(NamedTuple):
             )
 
 
-def decode_joint_state(raw: bytes) -> JointStateFields:
+def decode_joint_state(raw: bytes, bounds: Bounds = LIVE) -> JointStateFields:
     """Decode any serialised JointState, whatever its layout or byte order."""
+    require_size("JointState", len(raw), bounds.size)
     cursor = Cursor(raw, "JointState")
-    head = cursor.stamp(), cursor.string(), cursor.strings()
-    return JointStateFields(*head, cursor.doubles(), cursor.doubles(), cursor.doubles())
+    head = cursor.stamp(), cursor.string(), cursor.strings(most=bounds.names)
+    position, velocity, effort = [cursor.doubles(bounds.names) for _ in range(3)]
+    return JointStateFields(*head, position, velocity, effort)
 
 
 class JointStateTemplate:
@@ -499,7 +522,7 @@ class RobotReader:
 
     def _learn(self, raw: bytes) -> RobotSample:
         fields = decode_joint_state(raw)
-        indices = [fields.place_of(joint) for joint in self.joints]
+        indices = fields.places_of(self.joints)
         fields.require_lengths("velocity", "effort")
         self._layout = layout = joint_state_layout(raw)
         numbers = struct.Struct(f"{layout.order}{len(layout.names)}d")
@@ -552,11 +575,8 @@ class GroupReader:
 
     def _learned(self, raw: bytes) -> _KnownLayout:
         fields = decode_joint_state(raw)
-        places = tuple(
-            (j, fields.place_of(joint))
-            for j, joint in enumerate(self.joints)
-            if joint in fields.names
-        )
+        found = fields.places_of(self.joints, may_lack=True)
+        places = tuple((joint, place) for joint, place in enumerate(found) if place >= 0)
         if places:
             fields.require_lengths("velocity")
         layout = joint_state_layout(raw)

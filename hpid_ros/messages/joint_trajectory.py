@@ -1,8 +1,8 @@
 """``trajectory_msgs/msg/JointTrajectory`` between bytes and arrays, without a message object.
 
-What a message can cost is bounded: it may have only so many points. One pass over the points finds
-where their arrays lie; where all have the same arrays, as every planner sends them, the first four
-points tell. numpy takes the numbers from there.
+What a message can cost is in proportion to its bytes, and bounded (:mod:`.bounds`). One pass over
+the points finds where their arrays lie; where all have the same arrays, as every planner sends
+them, the first four points tell. numpy takes the numbers from there.
 
 Source: as for :mod:`hpid_ros.messages.joint_state`, and the definitions of
 ``trajectory_msgs/msg/JointTrajectory`` and ``JointTrajectoryPoint``.
@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.base.errors import MessageError
+from hpid_ros.base.errors import MessageError, TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.messages.bounds import LIVE, Bounds, require_count, require_size
 from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer
 from hpid_ros.motion.joint_trajectory import (
     Column,
@@ -30,13 +31,9 @@ from hpid_ros.motion.joint_trajectory import (
     require_arrays,
 )
 
+_KIND = "JointTrajectory"
 _MOST_NAMES = 1_000  # that are looked at before the rest is
-MOST_POINTS = 50_000
-"""Points of one layout that a message may have."""
-
-MOST_MIXED_POINTS = 5_000
-"""Points that a message may have whose points differ in layout."""
-
+_NUMBER = 8  # [bytes]
 _ARRAYS = 4  # of a point: positions, velocities, accelerations, effort
 _LEAST_POINT = 4 * _ARRAYS + 8  # [bytes]
 _FIRST = 4  # points that show where the others lie, if all have the same arrays
@@ -77,7 +74,7 @@ class TrajectoryArrays(NamedTuple):
 def named_joints(raw: bytes) -> tuple[str, ...] | None:
     """Return whose trajectory a message is, without its points; None if that cannot be read."""
     try:
-        cursor = Cursor(raw, "JointTrajectory")
+        cursor = Cursor(raw, _KIND)
         for code in "iI":
             cursor.scalar(code)
         cursor.string()
@@ -87,16 +84,18 @@ def named_joints(raw: bytes) -> tuple[str, ...] | None:
         return None
 
 
-def decode_trajectory(
-    raw: bytes, most_points: int = MOST_POINTS, most_mixed_points: int = MOST_MIXED_POINTS
-) -> TrajectoryArrays:
-    cursor = Cursor(raw, "JointTrajectory")
-    stamp_ns, _, names = cursor.stamp(), cursor.string(), cursor.strings()
-    count = cursor.scalar("I")
-    if count > most_points:
-        raise MessageError(f"a JointTrajectory may have {most_points} points, not {count}")
-    if count * _LEAST_POINT > len(raw):
-        raise MessageError(f"a JointTrajectory of {len(raw)} bytes cannot hold {count} points")
+def decode_trajectory(raw: bytes, bounds: Bounds = LIVE) -> TrajectoryArrays:
+    """Return a trajectory's arrays, which take no more than a few times its bytes.
+
+    Raises:
+        MessageError: It is no trajectory, or beyond the bounds.
+        TrajectoryError: It has points without a position of each joint, and more of both than it
+            has bytes for.
+    """
+    require_size(_KIND, len(raw), bounds.size)
+    cursor = Cursor(raw, _KIND)
+    stamp_ns, _, names = cursor.stamp(), cursor.string(), cursor.strings(most=bounds.names)
+    count = cursor.count("points", _LEAST_POINT, bounds.points)
     words, body = _views(raw, cursor.order)
     places = _walked(raw, cursor.offset - ENCAPSULATION, min(count, _FIRST), cursor.order)
     if count > _FIRST:
@@ -105,24 +104,33 @@ def decode_trajectory(
         is_alike = bool((words[first[:, :_ARRAYS] // 4] == words[heads[0]]).all())
         is_alike = is_alike and places[-1, -1] // 4 + 2 <= len(words)
         if not (is_alike and (words[heads] == words[heads[0]]).all()):
-            if count > most_mixed_points:
-                raise MessageError(
-                    f"a JointTrajectory whose points differ in their arrays may have "
-                    f"{most_mixed_points} points, not {count}"
-                )
+            what = "points that differ in their arrays"
+            require_count(_KIND, what, count, _LEAST_POINT, len(raw), bounds.mixed_points)
             places = _walked(raw, cursor.offset - ENCAPSULATION, count, cursor.order)
     lengths = words[places[:, :_ARRAYS] // 4].astype(np.int64)
+    _require_held(len(raw), names, lengths)
     starts, ends = places[:, _ARRAYS:-1] // 8, places[:, -1] // 4
     times_ns = words[ends].astype(np.uint32).view(np.int32).astype(np.int64) * NANOSECONDS
     times_ns += words[ends + 1]
     arrays = []
     for k in range(_ARRAYS):
-        values = np.full((count, len(names)), np.nan)
         rows = np.flatnonzero(lengths[:, k] == len(names))
-        if names:
-            values[rows] = body[starts[rows, k, np.newaxis] + np.arange(len(names))]
+        if not (names and len(rows)):  # a view of one number, however many points there are
+            arrays.append(np.broadcast_to(np.nan, (count, len(names))))
+            continue
+        values = np.full((count, len(names)), np.nan)
+        values[rows] = body[starts[rows, k, np.newaxis] + np.arange(len(names))]
         arrays.append(values)
     return TrajectoryArrays(stamp_ns, names, times_ns, PointArrays(*arrays), lengths, body, starts)
+
+
+def _require_held(size: int, names: Sequence[str], lengths: NDArray[np.int64]) -> None:
+    """Refuse more points times joints than there are positions: arrays would be as long."""
+    if len(lengths) * len(names) * _NUMBER > size:
+        point = int(np.argmax(lengths[:, 0] != len(names)))
+        raise TrajectoryError(
+            f"point {point} must have {len(names)} positions, not {lengths[point, 0]}"
+        )
 
 
 def _views(raw: bytes | bytearray, order: str) -> tuple[NDArray[np.uint32], Numbers]:

@@ -14,8 +14,14 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Vector
+from hpid_ros.messages.bounds import (
+    LENGTH,
+    LIVE,
+    MOST_DIMENSIONS,
+    MOST_NUMBERS,
+    require_size,
+)
 from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer
 
 CLOCK = "rosgraph_msgs/msg/Clock"
@@ -136,14 +142,11 @@ def decode_parameter_event(raw: bytes) -> ParameterEvent:
     cursor.scalar("i")
     cursor.scalar("I")  # the stamp is that of the sender's clock
     node = cursor.string()
-    return ParameterEvent(node, _parameters(cursor, len(raw)), _parameters(cursor, len(raw)))
+    return ParameterEvent(node, _parameters(cursor), _parameters(cursor))
 
 
-def _parameters(cursor: Cursor, size: int) -> dict[str, ParameterContent | None]:
-    count = cursor.scalar("I")
-    if count * _LEAST_PARAMETER > size:
-        raise MessageError(f"a {_EVENT} of {size} bytes cannot hold {count} parameters")
-    return dict(_parameter(cursor) for _ in range(count))
+def _parameters(cursor: Cursor) -> dict[str, ParameterContent | None]:
+    return dict(_parameter(cursor) for _ in range(cursor.count("parameters", _LEAST_PARAMETER)))
 
 
 def _parameter(cursor: Cursor) -> tuple[str, ParameterContent | None]:
@@ -188,24 +191,40 @@ class MultiArrayTemplate:
         return self._head + self._numbers.pack(*effort)
 
 
-_MOST_DIMENSIONS, _MOST_NUMBERS = 8, 64
+_LEAST_DIMENSION = 3 * LENGTH
+"""Bytes of a label's length, a size and a stride."""
 
 
 def decode_numbers(raw: bytes) -> tuple[float, ...]:
     """Return the numbers of a serialised Float64MultiArray; its layout is passed over."""
     cursor = Cursor(raw, "Float64MultiArray")
-    dimensions = cursor.scalar("I")
-    if dimensions > _MOST_DIMENSIONS:
-        raise MessageError(f"{dimensions} dimensions, {_MOST_DIMENSIONS} are allowed")
-    for _ in range(dimensions):
+    for _ in range(cursor.count("dimensions", _LEAST_DIMENSION, MOST_DIMENSIONS)):
         cursor.string()
         cursor.scalar("I")
         cursor.scalar("I")
     cursor.scalar("I")
-    numbers = cursor.doubles()
-    if len(numbers) > _MOST_NUMBERS:
-        raise MessageError(f"{len(numbers)} numbers, {_MOST_NUMBERS} are allowed")
-    return numbers
+    return cursor.doubles(MOST_NUMBERS)
+
+
+_LEAST_STATE = 2 * LENGTH + 1
+"""Bytes of a name's and a label's length, and a number between them."""
+
+
+def decode_activity(raw: bytes) -> dict[str, str]:
+    """Return the states of controllers by name: their lifecycles' labels, as "active".
+
+    Source: ``controller_manager_msgs/msg/ControllerManagerActivity``; the hardware's are not read.
+    """
+    kind = "ControllerManagerActivity"
+    require_size(kind, len(raw))
+    cursor = Cursor(raw, kind)
+    cursor.scalar("i")
+    cursor.scalar("I")  # the stamp is that of the manager's clock
+    cursor.string()
+    states = {}
+    for _ in range(cursor.count("controllers", _LEAST_STATE, LIVE.names)):
+        name, _, states[name] = cursor.string(), cursor.scalar("B"), cursor.string()
+    return states
 
 
 class DynamicJointStateTemplate:

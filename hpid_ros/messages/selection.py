@@ -15,6 +15,7 @@ from hpid_ros.base.errors import (
     TrajectoryError,
     unknown_name,
 )
+from hpid_ros.messages.bounds import RECORDED
 from hpid_ros.messages.columns import (
     CONTROLLER_STATE,
     FLOAT64,
@@ -469,8 +470,7 @@ def _listed(types: Mapping[str, str]) -> str:
 
 def decoded_trajectory(raw: bytes) -> TrajectoryArrays:
     """Return a serialised trajectory, checked."""
-    # A recording may hold any number of points: reading it need not keep pace with a robot.
-    decoded = decode_trajectory(raw, len(raw), len(raw))
+    decoded = decode_trajectory(raw, RECORDED)
     decoded.require()
     return decoded
 

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.base.errors import TrajectoryError, unknown_name
+from hpid_ros.base.text import names_text
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.control.reference import Pace
 
@@ -359,7 +360,7 @@ def require_trajectory(
     """Refuse what is no trajectory."""
     if not joint_names or len(set(joint_names)) != len(joint_names):
         raise TrajectoryError(
-            f"a trajectory must name each of its joints once, not {list(joint_names)}"
+            f"a trajectory must name each of its joints once, not {names_text(joint_names)}"
         )
     if not points:
         raise TrajectoryError("a trajectory must have at least one point, not none")
@@ -510,6 +511,8 @@ def _suspects(
     wrong = np.flatnonzero(odd.any(axis=1))
     suspects += [int(wrong[0])] if len(wrong) else []
     for k, each in enumerate(arrays):
+        if not (lengths[:, k] == joints).any():  # one number stands for all
+            continue
         bad = ~(np.abs(each) <= _LARGEST).all(axis=1) & (lengths[:, k] == joints)
         suspects += [int(np.argmax(bad))] if bad.any() else []
     return sorted(suspects)

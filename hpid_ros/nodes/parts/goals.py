@@ -25,10 +25,12 @@ from hpid_ros.base.errors import (
     unknown_name,
 )
 from hpid_ros.base.records import ParameterSpec, Record, from_parameters, parameters_of, quantity
+from hpid_ros.base.text import names_text
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.control.reference import LARGEST_POSITION, require_timely
 from hpid_ros.control.settings import StateClock, Value
-from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS, decode_trajectory
+from hpid_ros.messages.bounds import LIVE
+from hpid_ros.messages.joint_trajectory import decode_trajectory
 from hpid_ros.motion.joint_trajectory import Column, Integers, Knot, PointArrays, checked_column
 
 
@@ -305,6 +307,8 @@ def _of_joint(joint: str, values: Mapping[str, Value]) -> JointParameters:
 _EFFORTS = PointArrays._fields.index("efforts")
 _AT_REST = 1.2e-7  # [rad/s, m/s], float32's epsilon, as JTC takes it
 _ROUNDED = 1e-6  # [rad, m]; limits are written with few digits, and planned with more
+# One point may be put before those of a goal.
+_BOUNDS = LIVE._replace(points=LIVE.points - 1, mixed_points=LIVE.mixed_points - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,11 +327,10 @@ class GoalRequest:
     def of(cls, raw: bytes, *tolerances: Any) -> GoalRequest:
         """Return the request of a ``JointTrajectory`` in CDR."""
         try:
-            # One point may be put before those of a goal.
-            came = decode_trajectory(raw, MOST_POINTS - 1, MOST_MIXED_POINTS - 1)
+            came = decode_trajectory(raw, _BOUNDS)
             names = came.names
             if not names or len(set(names)) != len(names):
-                line = f"a goal must name each of its joints once, not {list(names)}"
+                line = f"a goal must name each of its joints once, not {names_text(names)}"
                 raise GoalError(line, ResultCode.INVALID_JOINTS)
             came.require()
         except GoalError:

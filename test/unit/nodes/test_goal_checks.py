@@ -14,7 +14,8 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS, encode_trajectory
+from hpid_ros.messages.bounds import LIVE
+from hpid_ros.messages.joint_trajectory import encode_trajectory
 from hpid_ros.nodes.parts.goal_server import fill_feedback, request_of
 from hpid_ros.nodes.parts.goals import (
     GoalError,
@@ -69,9 +70,9 @@ def test_what_is_no_trajectory_is_refused(names, code, line):
     ("count", "is_mixed", "line"),
     [
         pytest.param(
-            *(MOST_POINTS, False, "may have 49999 points, not 50000"), marks=pytest.mark.slow
+            *(LIVE.points, False, "may have 49999 points, not 50000"), marks=pytest.mark.slow
         ),
-        (MOST_MIXED_POINTS, True, "points differ in their arrays may have 4999 points"),
+        (LIVE.mixed_points, True, "may have 4999 points that differ in their arrays"),
     ],
 )
 def test_a_goal_has_no_more_points_than_controllers_take(count, is_mixed, line):

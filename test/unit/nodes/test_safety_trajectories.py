@@ -15,7 +15,8 @@ from rosbags.typesys import Stores, get_typestore
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError
-from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS, decode_float64
+from hpid_ros.messages.bounds import LIVE
+from hpid_ros.messages.joint_trajectory import decode_float64
 
 
 def trajectory(joints, points, gives=(True, True, True, False), frame="", stamp=0, seed=0):
@@ -154,17 +155,19 @@ def repeated(message, points):
 
 
 def test_a_million_points_are_refused_at_once_and_the_most_that_are_taken_cost_little(faults):
-    raw = repeated("ab", 1_000_000)
-    with pytest.raises(MessageError, match=f"{MOST_POINTS} points, not 1000000"):
-        column_from_bytes(raw, "a")
+    for points, reason in (100_000, f"{LIVE.points} points"), (1_000_000, f"{LIVE.size} bytes"):
+        with pytest.raises(MessageError, match=f"may have {reason}, not"):
+            column_from_bytes(repeated("ab", points), "a")
     message = trajectory("abcdef", 2000)
     raw = serialize_message(message)
     began = time.thread_time()
     column_from_bytes(raw, "a")
     each = (time.thread_time() - began) / 2000
-    assert each * MOST_POINTS < 1.0  # [s]; measured below 0.1
-    mixed = trajectory("ab", MOST_MIXED_POINTS + 1)
+    assert each * LIVE.points < 1.0  # [s]; measured below 0.1
+    mixed = trajectory("ab", LIVE.mixed_points + 1)
     mixed.points[7].velocities = []
-    with pytest.raises(MessageError, match="differ in their arrays may have"):
+    with pytest.raises(
+        MessageError, match=f"{LIVE.mixed_points} points that differ in their arrays"
+    ):
         column_from_bytes(serialize_message(mixed), "a")
-    faults.count("trajectory points refused", 1_000_000 + MOST_MIXED_POINTS + 1)
+    faults.count("trajectory points refused", 1_000_000 + LIVE.mixed_points + 1)
