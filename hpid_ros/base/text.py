@@ -28,11 +28,11 @@ def shown(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def bounded(text: str) -> str:
+def bounded(text: str, longest: int = _LONGEST_LINE) -> str:
     """Return a text as :func:`shown`, without its middle where it is longer than people read."""
-    left_out = len(text) - _LONGEST_LINE
+    left_out = len(text) - longest
     if left_out > 0:
-        half = _LONGEST_LINE // 2
+        half = longest // 2
         text = f"{text[:half]} ... {left_out} characters ... {text[-half:]}"
     return shown(text)
 

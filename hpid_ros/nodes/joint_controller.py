@@ -436,6 +436,12 @@ class JointController(ManagedNode):
     def refuse(self, line: str) -> None:
         self._health.refuse(line)
 
+    def refuse_message(self, topic: str, reason: str) -> None:
+        """Give the fallback for a state that could not be answered."""
+        super().refuse_message(topic, reason)
+        if topic == STATES:
+            self._commands.fall_back(self._supervised.timeout_effort, lambda: True)
+
     def _report(self) -> None:
         if self._is_timeout_reported and self._loop.state is not LoopState.SILENT:
             self._is_timeout_reported = False

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from termios import FIONREAD
 
 import pytest
@@ -99,44 +100,83 @@ from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.joint_controller import JointController
 
 class Broken(JointController):
-    def _follow(self, motion, is_latched):
-        raise {error}
+    asked = 0
+
+    def {method}(self, *arguments):
+        self.asked += 1
+        if self.asked {when}:
+            raise {error}
+        return super().{method}(*arguments)
 
 sys.exit(executor.run(lambda: [Broken()]))
 """
 
 
-@pytest.mark.parametrize(
-    ("reference", "error", "code", "line"),
-    [
-        (TRAJECTORY, "ZeroDivisionError('by nothing')", 1, "by nothing (<string>:8)"),
-        (SETPOINT, "errors.SettingError('no good')", 2, "no good"),
-    ],
-)
-def test_an_exception_in_a_callback_leaves_the_joint_without_effort(
-    harness, faults, reference, error, code, line
-):
-    command = [sys.executable, "-c", BROKEN.format(error=error), "--ros-args"]
+@contextmanager
+def broken(harness, method, error, when="> 0"):
+    """Start a controller one method of which raises."""
+    program = BROKEN.format(method=method, error=error, when=when)
+    command = [sys.executable, "-c", program, "--ros-args"]
     arguments = ros_arguments(joint="elbow", law="pid", state_clock="simulated", **GAINS)
     with subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True) as process:
         try:
             harness.wait(lambda: listens(harness), what="the node")
-            harness.ask(0, 0.0)
-            assert harness.ask(MS, -0.5) != 0.0
-            is_setpoint = isinstance(reference, Float64)
-            topic = "joint_controller/setpoint" if is_setpoint else "joint_trajectory"
-            publisher = harness.node.create_publisher(type(reference), topic, RARE)
-
-            def ends():
-                publisher.publish(reference)
-                return process.poll() is not None
-
-            harness.wait(ends, what="it to end")
-            harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a zero effort")
-            assert process.returncode == code
-            assert line in process.stderr.read()
+            yield process
         finally:
             process.kill()
+
+
+@pytest.mark.parametrize(
+    ("reference", "error", "line"),
+    [
+        (TRAJECTORY, "ZeroDivisionError('by nothing')", "ZeroDivisionError: by nothing"),
+        (TRAJECTORY, "MemoryError()", "MemoryError"),
+        (SETPOINT, "errors.SettingError('no good')", "no good"),
+        (SETPOINT, "RecursionError('deep')", "RecursionError: deep"),
+    ],
+)
+def test_a_message_that_meets_an_error_is_refused_and_the_joint_goes_on(
+    harness, faults, reference, error, line
+):
+    with broken(harness, "_follow", error) as process:
+        told = Told(harness, "joint_controller")
+        assert harness.ask(0, 0.0) == 0.0
+        effort = harness.ask(MS, -0.5)
+        is_setpoint = isinstance(reference, Float64)
+        topic = "joint_controller/setpoint" if is_setpoint else "joint_trajectory"
+        publisher = harness.node.create_publisher(type(reference), topic, RARE)
+
+        def is_refused():
+            publisher.publish(reference)
+            return told.newest().get("last fault", "").endswith(f"refused: {line}")
+
+        harness.wait(is_refused, what="the refusal")
+        assert told.count("failed messages") > 0
+        assert harness.ask(2 * MS, -0.5) == pytest.approx(effort, rel=0.5) != 0.0
+        assert process.poll() is None
+    faults.count("exceptions in callbacks")
+
+
+def test_a_state_that_meets_an_error_is_answered_with_the_fallback(harness, faults):
+    with broken(harness, "_is_left", "ZeroDivisionError()", "== 5") as process:
+        harness.ask(0, 0.0)
+        assert harness.ask(MS, -0.5) != 0.0  # two calls each
+        harness.publish(2 * MS, -0.5)
+        harness.wait(lambda: harness.commands[-1].stamp_ns == MS + 1, what="the fallback")
+        assert harness.commands[-1].effort == (0.0,)
+        assert harness.ask(3 * MS, -0.5) != 0.0
+        assert process.poll() is None
+    faults.count("exceptions in callbacks")
+
+
+def test_an_exception_of_a_timer_leaves_the_joint_without_effort(harness, faults):
+    with broken(harness, "_report", "ZeroDivisionError('by nothing')", "> 1") as process:
+        harness.ask(0, 0.0)
+        assert harness.ask(MS, -0.5) != 0.0
+        harness.wait(lambda: process.poll() is not None, what="it to end")
+        harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a zero effort")
+        assert process.returncode == 1
+        assert "by nothing (<string>:" in process.stderr.read()
     faults.count("exceptions in callbacks")
 
 

@@ -54,10 +54,9 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
-from rclpy.time_source import CLOCK_TOPIC
 from rclpy.utilities import remove_ros_args
 
-from hpid_ros.base.errors import ClaimError, HpidError, SettingError
+from hpid_ros.base.errors import ClaimError, HpidError, RunError, SettingError, reason_of
 from hpid_ros.base.processes import optional_libraries
 from hpid_ros.base.text import shown
 from hpid_ros.nodes.core.middleware import load_profile
@@ -70,7 +69,7 @@ from hpid_ros.nodes.core.parameters import (
 from hpid_ros.nodes.core.process import end, end_in_time, end_with_the_launch, warn_if_unprotected
 from hpid_ros.nodes.core.rclpy_internals import given_parameters
 from hpid_ros.nodes.core.services import Answers, guard_services
-from hpid_ros.nodes.core.status import flush_events
+from hpid_ros.nodes.core.status import flush_events, note_failure
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -131,6 +130,7 @@ BAD_INPUT = 2
 FAILED = 1
 """Exit code of a process that a callback ended, or whose joint another controller holds."""
 
+_ENDING = (ClaimError, RunError)  # they end a process wherever they are raised
 _STOPS_WITHIN = 4.5  # [s] from the request to the close of the nodes
 _EVENTS_WITHIN = 0.5  # [s] for a parent that is slow to read
 _SWITCH_INTERVAL = 5e-4  # [s]; how late another thread (a decoder) makes a sample
@@ -196,10 +196,32 @@ class ClosingNode(Node):
     def create_subscription(
         self, kind: Any, topic: str, callback: Any, qos: Any, **options: Any
     ) -> Subscription:
-        """Create a subscription, as rclpy does; overrides change no profile but its own."""
-        if topic == CLOCK_TOPIC:
-            callback = partial(_note_clock, callback)
-        return super().create_subscription(kind, topic, callback, copy(qos), **options)
+        """Create a subscription, as rclpy does; overrides change no profile but its own.
+
+        No message on it ends the process (:meth:`guarded`).
+        """
+        guarded = self.guarded(topic, callback)
+        return super().create_subscription(kind, topic, guarded, copy(qos), **options)
+
+    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return what calls back with a message; one that meets an error of any kind is refused.
+
+        What is no matter of the message is raised: a joint that is another's, a run that failed.
+        """
+
+        def take(message: Any) -> None:
+            try:
+                callback(message)
+            except _ENDING:
+                raise
+            except Exception as error:
+                self.refuse_message(topic, reason_of(error))
+
+        return take
+
+    def refuse_message(self, topic: str, reason: str) -> None:
+        """Note that a message on a topic has met an error; on any thread."""
+        note_failure(self, f"a message on {topic} is refused: {reason}")
 
     def begin_stop(self) -> Future | None:
         """Begin what takes time before the end; called once, while spinning goes on."""
@@ -216,7 +238,10 @@ class ClosingNode(Node):
             self.supervisor.request(code)
 
     def hand_over(self, callback: Callable[..., None], *arguments: object) -> None:
-        """Have the executor's thread call something soon; from any thread."""
+        """Have the executor's thread call something soon that follows from a message.
+
+        From any thread; an error in it refuses the message (:meth:`guarded`).
+        """
         executor = self.executor
         if executor is not None:  # else the node has ended
             executor.create_task(self._call, callback, arguments)
@@ -224,11 +249,12 @@ class ClosingNode(Node):
     def _call(self, callback: Callable[..., None], arguments: Sequence[object]) -> None:
         try:
             callback(*arguments)
-        except Exception as error:  # in a task it would crash the EventsExecutor of Jazzy
+        except _ENDING as error:  # in a task it would crash the EventsExecutor of Jazzy
             if self.supervisor is None:
                 raise
-            code = BAD_INPUT if isinstance(error, HpidError) else FAILED
-            self.supervisor.fail(error, code)
+            self.supervisor.fail(error, _exit_code(error))
+        except Exception as error:
+            note_failure(self, f"refused: {reason_of(error)}")
 
     # What follows is called on the supervisor's thread, also while a callback does not return.
 
@@ -248,12 +274,6 @@ class ClosingNode(Node):
 
     def restore_effort(self) -> None:
         """Go on after :meth:`cut_effort`."""
-
-
-def _note_clock(note: Callable[[Any], None], message: Any) -> None:
-    """Pass a time on to rclpy, unless it is none: it would raise, and end the process."""
-    with contextlib.suppress(ValueError, OverflowError):
-        note(message)
 
 
 def _type_of(default: object) -> Parameter.Type:

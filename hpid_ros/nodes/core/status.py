@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
@@ -111,9 +112,25 @@ class StatusPipe:
             self._pipe.put((json.dumps({"event": event, **values}) + "\n").encode())
 
 
+LONGEST_FAULT = 1000
+"""Characters of a line about a message: it may come again and again."""
+
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
 ERROR = DiagnosticStatus.ERROR
+
+
+_DIAGNOSTICS: WeakKeyDictionary[Node, Diagnostics] = WeakKeyDictionary()
+
+
+def note_failure(node: Node, line: str) -> None:
+    """Note that a message has met an error, in a node's log and in its status if it has one."""
+    diagnostics = _DIAGNOSTICS.get(node)
+    if diagnostics is None:
+        node.get_logger().warning(bounded(line, LONGEST_FAULT), throttle_duration_sec=1.0)
+        return
+    diagnostics.failed_messages += 1
+    diagnostics.fault(line)
 
 
 class Diagnostics:
@@ -124,7 +141,8 @@ class Diagnostics:
         self._hardware_id = hardware_id
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", RARE)
         self.last_fault = "none"
-        self.refused_requests = 0
+        self.refused_requests = self.failed_messages = 0
+        _DIAGNOSTICS[node] = self
 
     def refuse(self, line: str) -> None:
         self.refused_requests += 1
@@ -132,7 +150,7 @@ class Diagnostics:
 
     def fault(self, line: str) -> None:
         """Note one line for something that could not be used, or has gone wrong; it is logged."""
-        self.last_fault = line = bounded(line)
+        self.last_fault = line = bounded(line, LONGEST_FAULT)
         self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
     def publish(self, level: bytes, message: str, values: Mapping[str, object]) -> None:
@@ -141,7 +159,10 @@ class Diagnostics:
             name=self._node.get_fully_qualified_name(),
             message=bounded(message),
             hardware_id=self._hardware_id,
-            values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+            values=[
+                KeyValue(key=key, value=_text(value))
+                for key, value in {**values, "failed messages": self.failed_messages}.items()
+            ],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()

@@ -12,7 +12,14 @@ from typing import Any, Literal
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from hpid_ros.base.errors import ExperimentError, MessageError, SettingError
+from hpid_ros.base.errors import (
+    ExperimentError,
+    HpidError,
+    MessageError,
+    RunError,
+    SettingError,
+    reason_of,
+)
 from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
@@ -401,7 +408,12 @@ class RobotBridge(executor.ClosingNode):
         if self._pace.end_ns is not None and self._world.time_ns >= self._pace.end_ns:
             self._finish()
             return
-        self._world.step(efforts)
+        try:
+            self._world.step(efforts)
+        except HpidError:
+            raise
+        except Exception as error:  # no matter of the command with which it was due
+            raise RunError(f"the simulation failed: {reason_of(error)}") from error
         self._publish_state()
 
     def _publish_state(self) -> None:

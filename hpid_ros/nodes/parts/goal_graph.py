@@ -47,6 +47,7 @@ from hpid_ros.nodes.parts.references import (
 
 _LOOKS = 10  # for the states, in each state_timeout
 _STOOD_STILL = 0.25  # [s] without a look; an executor that is merely busy is faster
+_TOPIC = "joint_trajectory"
 _OWN_KEPT = 16  # messages that may be on their way back
 
 
@@ -70,7 +71,7 @@ class GroupTopics:
         self._own: deque[bytes] = deque(maxlen=_OWN_KEPT)
         self._sent = 0
         self._publisher = node.create_publisher(
-            JointTrajectory, "joint_trajectory", LATCHED, qos_overriding_options=overridable()
+            JointTrajectory, _TOPIC, LATCHED, qos_overriding_options=overridable()
         )
         TrajectorySubscriptions(node, self._on_trajectory)
         self._reader = GroupReader(tuple(references))
@@ -157,7 +158,7 @@ class GroupTopics:
         names, own = named_joints(raw), self._follower.settings.joints
         named = tuple(joint for joint in own if names is None or joint in names)
         if named:
-            take = partial(self._decoded, self._sent, named)
+            take = self._node.guarded(_TOPIC, partial(self._decoded, self._sent, named))
             reference_decoder().decode((self, named), raw, take)
 
     def _decoded(self, sent: int, named: Sequence[str], decoded: Decoded) -> None:

@@ -27,7 +27,7 @@ from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import SettingError, reason_of
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import UNNAMED, full_name, steady_timer
@@ -260,8 +260,9 @@ class GoalServer:
             if isinstance(found, Exception):
                 raise found
             self._begin(found)  # which ends the one before
-        except GoalError as error:
-            self._finish(handle, error.result)
+        except Exception as error:
+            known = isinstance(error, GoalError)
+            self._finish(handle, error.result if known else GoalError(reason_of(error)).result)
             return
         self._active = handle
 

@@ -19,6 +19,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import (
     NEWEST_COMMAND,
     NEWEST_STATES,
@@ -131,10 +132,13 @@ class SharedTopics:
         """Wait for a controller before the states are subscribed to."""
         self._expected.add(controller)
 
-    def listen(self, controller: Node, take: TakeState) -> None:
-        """Give a controller states, with all others; on the executor's thread, as all of these."""
+    def listen(self, controller: ClosingNode, take: TakeState) -> None:
+        """Give a controller states, with all others; on the executor's thread, as all of these.
+
+        An error that one of them meets is none of the others'.
+        """
         self._expected.discard(controller)
-        self._takes = {**self._takes, controller: take}
+        self._takes = {**self._takes, controller: controller.guarded(STATES, take)}
         self._settle()
 
     def leave(self, controller: Node) -> None:

@@ -22,7 +22,11 @@ from std_msgs.msg import Float64MultiArray
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.reports import DynamicJointStateTemplate, MultiArrayTemplate
+from hpid_ros.messages.reports import (
+    DynamicJointStateTemplate,
+    MultiArrayTemplate,
+    decode_activity,
+)
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import (
     LATCHED,
@@ -317,8 +321,9 @@ def _subscribe_to_activity(
     node.create_subscription(
         ControllerManagerActivity,
         topic,
-        lambda message: note({each.name: each.state.label for each in message.controllers}),
+        lambda raw: note(decode_activity(raw)),
         LATCHED,
+        raw=True,
     )
     return topic
 

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError
+from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError, reason_of
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
@@ -189,7 +189,7 @@ class ReferenceDecoder:
                 last = raw
                 try:
                     decoded = decode_trajectory(raw)
-                except Exception as error:  # of any kind: raised where it is taken
+                except Exception as error:  # of any kind: the message is refused
                     decoded = error
             take(decoded)
 
@@ -246,7 +246,8 @@ class ControllerReferences:
             return  # what others follow, as what nobody can read, replaces nothing that waits
         self._arrived += 1
         take = partial(self._decoded, self._arrived, self._reason_against(), is_latched)
-        reference_decoder().decode((self, names is None), raw, take)
+        guarded = self._node.guarded(TRAJECTORY, take)
+        reference_decoder().decode((self, names is None), raw, guarded)
 
     def _decoded(
         self, number: int, reason_against: str, is_latched: bool, decoded: Decoded
@@ -268,10 +269,8 @@ class ControllerReferences:
     ) -> None:
         if number <= self._discarded or found is None:
             return
-        if isinstance(found, HpidError):
-            self._refuse(str(found))
-        elif isinstance(found, Exception):
-            raise found
+        if isinstance(found, Exception):
+            self._refuse(reason_of(found))
         elif reason_against:
             self._refuse(reason_against)
         elif number > self._followed:
