@@ -203,19 +203,20 @@ class ClosingNode(Node):
         guarded = self.guarded(topic, callback)
         return super().create_subscription(kind, topic, guarded, copy(qos), **options)
 
-    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    def guarded(self, topic: str, callback: Callable[[Any], T]) -> Callable[[Any], T | None]:
         """Return what calls back with a message; one that meets an error of any kind is refused.
 
         What is no matter of the message is raised: a joint that is another's, a run that failed.
         """
 
-        def take(message: Any) -> None:
+        def take(message: Any) -> T | None:
             try:
-                callback(message)
+                return callback(message)
             except _ENDING:
                 raise
             except Exception as error:
                 self.refuse_message(topic, reason_of(error))
+                return None
 
         return take
 

@@ -4,8 +4,9 @@
 runs a goal in a callback that returns its result; this one returns at the end, and until then
 nothing waits in it: a callback that awaits something ends the EventsExecutor of Jazzy.
 
-It answers in ``_execute_goal_request``, ``_execute_cancel_request`` and ``_send_result_response``,
-by ``_handle``, and has no public way to send an answer again. As in :mod:`.rclpy_internals`, no
+It keeps requests in ``_goal_request``, answers in ``_execute_goal_request``,
+``_execute_cancel_request`` and ``_send_result_response``, by ``_handle``, and has no public way to
+send an answer again. As in :mod:`.rclpy_internals`, no
 other module touches them; it is apart because rclpy's actions take long to import.
 """
 
@@ -29,6 +30,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from hpid_ros.base.errors import SettingError, reason_of
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
+from hpid_ros.messages.bounds import GOALS_KEPT
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import UNNAMED, full_name, steady_timer
 from hpid_ros.nodes.core.services import Answers
@@ -95,15 +97,42 @@ class _Cancels:
             send()
 
 
+def forget_request(handle: Any) -> None:
+    """Free what a goal asked for: rclpy would keep it until the result expires."""
+    handle._goal_request = None
+
+
 _ACTION = "~/follow_joint_trajectory"
 _RESULTS_KEPT = 10  # [s], rcl_action's own default; rclpy's is a quarter of an hour
 _RECEIVED_WITHIN = 0.25  # [s] for the last results: answers of services are not acknowledged
-_POINTS_AT_ONCE = 200_000  # of all goals that are kept; a point costs about a kilobyte
+_POINT, _TOLERANCE, _NAME, _NUMBER = 340, 340, 64, 8  # bytes that each costs, a third in Python
 _GOALS_AT_ONCE = 1000
 
 _REPLACED = Result(ResultCode.INVALID_GOAL, "replaced by a new goal before it began")
 _ENDED = Result(ResultCode.INVALID_GOAL, "the node ends")
 _ARRAYS = ("positions", "velocities", "accelerations", "effort")
+
+
+def size_of(goal: Any) -> int:
+    """Return the bytes that a goal costs while it is kept, in proportion to those of its message.
+
+    Python's objects count as a third of what they are: 64 MiB are 200 000 points, or 64 MiB of
+    numbers.
+    """
+    trajectory, other = goal.trajectory, goal.multi_dof_trajectory
+    names = [*trajectory.joint_names, *other.joint_names]
+    numbers = sum(
+        len(each.positions) + len(each.velocities) + len(each.accelerations) + len(each.effort)
+        for each in trajectory.points
+    )
+    objects = len(trajectory.points) + sum(
+        1 + len(each.transforms) + len(each.velocities) + len(each.accelerations)
+        for each in other.points
+    )
+    tolerances = [*goal.path_tolerance, *goal.goal_tolerance]
+    names += [each.name for each in tolerances]
+    texts = sum(map(len, names)) + _NAME * len(names)
+    return texts + _NUMBER * numbers + _POINT * objects + _TOLERANCE * len(tolerances)
 
 
 def request_of(goal: Any) -> GoalRequest:
@@ -179,9 +208,10 @@ class GoalServer:
             self._type,
             _ACTION,
             lambda _: self._type.Result(),
-            goal_callback=self._answer,
-            handle_accepted_callback=self._accept,
-            cancel_callback=self._answer_cancel,
+            # An error in a task would end the executor.
+            goal_callback=node.guarded(_ACTION, self._answer),
+            handle_accepted_callback=node.guarded(_ACTION, self._accept),
+            cancel_callback=node.guarded(_ACTION, self._answer_cancel),
             result_timeout=_RESULTS_KEPT,
         )
 
@@ -227,12 +257,12 @@ class GoalServer:
         now = time.monotonic()
         while self._kept and self._kept[0][0] < now - _RESULTS_KEPT:
             self._kept.popleft()
-        points = len(goal.trajectory.points)
-        most = sum(each for _, each in self._kept) + points > _POINTS_AT_ONCE
-        if self._is_leaving or most or len(self._kept) >= _GOALS_AT_ONCE:
+        size = size_of(goal)
+        is_full = sum(each for _, each in self._kept) + size > GOALS_KEPT
+        if self._is_leaving or is_full or len(self._kept) >= _GOALS_AT_ONCE:
             self.rejected += 1
             return GoalResponse.REJECT
-        self._kept.append((now, points))
+        self._kept.append((now, size))
         return GoalResponse.ACCEPT
 
     def _accept(self, handle: ServerGoalHandle) -> None:
@@ -250,6 +280,7 @@ class GoalServer:
             found = request_of(handle.request)
         except Exception as error:
             found = error
+        forget_request(handle)
         self._node.hand_over(self._take, handle, found)
 
     def _take(self, handle: ServerGoalHandle, found: GoalRequest | Exception) -> None:
@@ -282,6 +313,7 @@ class GoalServer:
 
     def _finish(self, handle: ServerGoalHandle, result: Result) -> None:
         self._ending += 1
+        forget_request(handle)
         self._note(result)
         self._server.notify_execute(handle, partial(self._conclude, result))
 

@@ -4,6 +4,7 @@ import struct
 import tracemalloc
 
 import pytest
+from harness.poison import head, states, trajectories, without_numbers
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -43,22 +44,6 @@ READERS = {
 }
 
 
-def head(names):
-    writer = Writer()
-    writer.time(0)
-    writer.string("")
-    writer.scalar("I", len(names))
-    for name in names:
-        writer.string(name)
-    return writer.raw
-
-
-def without_numbers(points, names):
-    """Return a trajectory of empty names and of points without a number: small, many of both."""
-    text = head([])[:-4] + struct.pack("<I", names) + bytes(4 * names)
-    return text + struct.pack("<I", points) + bytes(24 * points)
-
-
 def peak_of(read, raw):
     """Return the most memory that a reader takes, and what it raises."""
     tracemalloc.start()
@@ -81,6 +66,15 @@ def test_memory_is_in_proportion_to_the_bytes(kind, points, names, claimed):
         raw[4 * at : 4 * at + 4] = count.to_bytes(4, "little")
     peak, _ = peak_of(READERS[kind], bytes(raw))
     assert peak < FACTOR * len(raw) + REST
+
+
+@pytest.mark.parametrize("kind", [*trajectories("elbow"), *states("elbow")])
+def test_what_once_ended_a_node_is_refused_in_a_line(kind):
+    raw = (trajectories("elbow") | states("elbow"))[kind]
+    for read in READERS.values():
+        peak, error = peak_of(read, raw)
+        assert peak < FACTOR * len(raw) + REST
+        assert len(str(error)) < 1200
 
 
 @pytest.mark.parametrize("points", [100, 1000, 10_000])
