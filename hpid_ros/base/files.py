@@ -15,6 +15,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -106,18 +107,58 @@ def finished_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(around, ignore_errors=True)
 
 
+_LONGEST_REASON = 200
 _AMENT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
-def load_json(path: Path) -> Any:
-    """Return what a JSON file says."""
+_KINDS = {
+    stat.S_IFIFO: "FIFO",
+    stat.S_IFSOCK: "socket",
+    stat.S_IFCHR: "device",
+    stat.S_IFBLK: "device",
+    stat.S_IFDIR: "folder",
+}
+
+
+def other_kind(path: Path) -> str:
+    """Return what something is that is no regular file; empty if it is one, or is not there.
+
+    What is read of a FIFO or a device has no end, or no beginning.
+    """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SettingError(f"cannot read {path}: {reason}") from None
+        kind = stat.S_IFMT(path.stat().st_mode)
+    except OSError:
+        return ""
+    return "" if kind == stat.S_IFREG else _KINDS.get(kind, "special file")
+
+
+def read_text(path: Path, most: int, error: type[HpidError] = SettingError) -> str:
+    """Return the text of a regular file of no more than so many bytes."""
+    try:
+        if kind := other_kind(path):
+            raise error(f"cannot read {path}: it is a {kind}, not a file")
+        with path.open("rb") as stream:
+            raw = stream.read(most + 1)
+        if len(raw) > most:
+            raise error(f"cannot read {path}: it has more than {most} bytes")
+        return raw.decode("utf-8")
+    except OSError as cause:
+        raise error(f"cannot read {path}: {(cause.strerror or str(cause)).lower()}") from None
+    except UnicodeDecodeError:
+        raise error(f"cannot read {path}: it is not UTF-8 text") from None
+
+
+LARGEST_JSON = 64 << 20
+"""Bytes of a JSON file."""
+
+
+def load_json(path: Path, most: int = LARGEST_JSON) -> Any:
+    """Return what a JSON file says."""
+    text = read_text(path, most)
+    try:
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise SettingError(f"{path} is no JSON: {error}") from None
+        raise SettingError(f"{path} is no JSON: {str(error)[:_LONGEST_REASON]}") from None
 
 
 def package_folder(name: str) -> Path | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from hpid_ros.base.errors import HpidError, unknown_name
-from hpid_ros.base.files import is_file, share_folder
+from hpid_ros.base.files import is_file, read_text, share_folder
 
 EXTENDS = "extends"
 """The key that names the file that a document extends."""
@@ -26,6 +26,9 @@ MOST_NODES = 1_000_000
 
 MOST_EXTENDED = 16
 """Files that extend each other, one after the other; ours are three."""
+LONGEST_KEY = 18
+"""Characters of an integer that is a key: all below 2^61 - 1 have hashes of their own, while a
+mapping of its multiples takes the square of their number."""
 LONGEST_NUMBER = 1000
 """Characters of a number; Python refuses to write integers of more than 4300 digits."""
 
@@ -163,16 +166,7 @@ def _merged(
 
 
 def _read(path: str | Path, error: type[HpidError]) -> str:
-    try:
-        with Path(path).open("rb") as stream:
-            raw = stream.read(LARGEST_FILE + 1)
-        if len(raw) > LARGEST_FILE:
-            raise error(f"cannot read {path}: it has more than {LARGEST_FILE} bytes")
-        return raw.decode("utf-8").replace("\r\n", "\n")
-    except OSError as cause:
-        raise error(f"cannot read {path}: {(cause.strerror or str(cause)).lower()}") from None
-    except UnicodeDecodeError:
-        raise error(f"cannot read {path}: it is not UTF-8 text") from None
+    return read_text(Path(path), LARGEST_FILE, error).replace("\r\n", "\n")
 
 
 def parse_yaml(path: str | Path, text: str, error: type[HpidError]) -> Any:
@@ -211,29 +205,52 @@ def _require_bounded(events: Iterator[Any]) -> None:
     nodes = 0
     sizes: dict[str, int] = {}
     opened: list[tuple[str | None, int]] = []
+    long: set[str] = set()  # anchors of integers that are too long for keys
+    keys: list[bool | None] = []  # of each that is open: whether a key is next; None in a sequence
     for event in events:
+        is_key = bool(keys and keys[-1])
+        if keys and keys[-1] is not None and isinstance(event, yaml.NodeEvent):
+            keys[-1] = not is_key
+        if is_key and _is_long(event, long):
+            raise _refusal(f"a number of more than {LONGEST_KEY} characters as a key", event)
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in sizes:
                 raise _refusal(f"alias {event.anchor!r} is part of itself or unknown", event)
             nodes += sizes[event.anchor]
         elif isinstance(event, yaml.CollectionStartEvent):
             opened.append((event.anchor, nodes))
+            keys.append(True if isinstance(event, yaml.MappingStartEvent) else None)
             nodes += 1
             sizes.pop(event.anchor, None)
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, before = opened.pop()
+            keys.pop()
             if anchor is not None:
                 sizes[anchor] = nodes - before
         elif isinstance(event, yaml.ScalarEvent):
             nodes += 1
             if event.anchor is not None:
                 sizes[event.anchor] = 1
+                if _is_long(event, long):
+                    long.add(event.anchor)
             if len(event.value) > LONGEST_NUMBER and _may_be_a_number(event):
                 raise _refusal(f"a number of more than {LONGEST_NUMBER} characters", event)
         if len(opened) > MOST_LEVELS:
             raise _refusal(f"more than {MOST_LEVELS} levels", event)
         if nodes > MOST_NODES:
             raise _refusal(f"more than {MOST_NODES} values, aliases expanded", event)
+
+
+def _is_long(event: Any, long: Collection[str]) -> bool:
+    """Tell whether a scalar, or what an alias stands for, is an integer too long for a key."""
+    if isinstance(event, yaml.AliasEvent):
+        return event.anchor in long
+    return (
+        isinstance(event, yaml.ScalarEvent)
+        and len(event.value) > LONGEST_KEY
+        and "." not in event.value
+        and _may_be_a_number(event)
+    )
 
 
 def _may_be_a_number(event: Any) -> bool:

@@ -14,7 +14,6 @@ import json
 import math
 import shutil
 import sqlite3
-import stat
 import struct
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -26,6 +25,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hpid_ros.base.errors import BagError
+from hpid_ros.base.files import other_kind
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.messages.columns import TopicBatch, TopicInfo, batch_of, count_difference
 from hpid_ros.messages.mcap_file import (
@@ -382,13 +382,6 @@ def _connected(path: Path, is_cut_off: bool, report: Report) -> sqlite3.Connecti
 _SUFFIXES = (".mcap", ".db3")
 _ZSTD = ".zstd"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no message begins so: CDR begins with 0
-_NO_FILES = {
-    stat.S_IFDIR: "folder",
-    stat.S_IFIFO: "FIFO",
-    stat.S_IFSOCK: "socket",
-    stat.S_IFCHR: "device",
-    stat.S_IFBLK: "device",
-}
 _MOST_LINES = 50
 """Lines about what cannot be read; a file can be made to have any number."""
 _PLACES_PER_FILE = 1 << 48
@@ -467,8 +460,7 @@ class Storage:
             raise BagError("the file is missing") from None
         except OSError as error:
             raise BagError(str(error.strerror or error)) from None
-        kind = _NO_FILES.get(stat.S_IFMT(found.st_mode))
-        if kind is not None:  # of which some can be opened, and never end
+        if kind := other_kind(path):  # some can be opened, and never end
             raise BagError(f"it is a {kind}, not a file")
         size = found.st_size
         suffix = _suffix(path)

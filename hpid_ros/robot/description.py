@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from hpid_ros.base.errors import RobotDescriptionError, unknown_name
-from hpid_ros.base.files import find_resource, is_file, package_folder
+from hpid_ros.base.files import find_resource, is_file, package_folder, read_text
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.settings import LoopSettings
 
@@ -303,18 +303,9 @@ class RobotDescription:
         if isinstance(source, str) and source.lstrip().startswith("<"):
             return _parse(source.lstrip(), "robot description", None)
         path = Path(source)
-        try:
-            with path.open("rb") as stream:
-                raw = stream.read(LARGEST_FILE + 1)
-            text = raw[:LARGEST_FILE].decode("utf-8")
-        except FileNotFoundError:
-            raise RobotDescriptionError(f"robot description {path} does not exist") from None
-        except (OSError, ValueError) as error:
-            raise RobotDescriptionError(f"robot description {path}: {error}") from error
-        if len(raw) > LARGEST_FILE:
-            raise RobotDescriptionError(
-                f"robot description {path} has more than {LARGEST_FILE} bytes"
-            )
+        if not path.exists():
+            raise RobotDescriptionError(f"robot description {path} does not exist")
+        text = read_text(path, LARGEST_FILE, RobotDescriptionError)
         return _parse(text.lstrip("\ufeff \t\r\n"), str(path), path.resolve().parent)
 
     def select(self, names: Iterable[str]) -> tuple[JointDescription, ...]:

@@ -1,5 +1,6 @@
 """Small files that would fill memory, run for ever or crash: each ends in one line."""
 
+import math
 import os
 import resource
 import socket
@@ -15,6 +16,7 @@ from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from hpid_ros.base.errors import ExperimentError
+from hpid_ros.base.files import LARGEST_JSON
 from hpid_ros.base.yaml_files import MOST_LEVELS, load_yaml
 from hpid_ros.cli.main import main
 from hpid_ros.messages.mcap_file import LIMIT_VARIABLE, zstd_library
@@ -141,6 +143,7 @@ def test_what_is_no_file_is_no_bag(tmp_path, refused, monkeypatch):
 LAUGHS = "a0: &a0 [ha]\n" + "".join(
     f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 30)
 )
+OF_ONE_HASH = "".join(f"{k * (2**61 - 1)}: 0\n" for k in range(20_000))
 TEXTS = {
     "brackets": ("[" * 100_000, f"more than {MOST_LEVELS} levels"),
     "braces": ("{a: " * 100_000, f"more than {MOST_LEVELS} levels"),
@@ -157,6 +160,12 @@ TEXTS = {
     "tags": ("a: !!bool perhaps\n", "a value is not what its tag says"),
     "objects": ("a: !!python/object/apply:os.getcwd []\n", "could not determine a constructor"),
     "long": ("a: " + "b" * (17 * MIB), "it has more than 16777216 bytes"),
+    "hashes": (
+        "".join(f"{k * (2**61 - 1)}: 0\n" for k in range(20_000)),
+        "18 characters as a key",
+    ),
+    "hash": ("? !!int '9223372036854775808'\n: 0\n", "18 characters as a key"),
+    "alias": ("a: &a -9223372036854775808\nb: {x: 1, *a : 0}\n", "18 characters as a key"),
 }
 
 
@@ -175,7 +184,7 @@ def test_whatever_reads_a_document_refuses_such_a_one(tmp_path, refused):
     text, reason = TEXTS["laughs"]
     (tmp_path / "file.yaml").write_text(text)
     assert reason in refused("compare", tmp_path / "file.yaml")
-    assert "it has more than 16777216 bytes" in refused("compare", "/dev/zero")
+    assert "it is a device, not a file" in refused("compare", "/dev/zero")
     bag = write_bag(tmp_path / "bag", small_log())
     (bag / "metadata.yaml").write_text(text)
     (line,) = read_run(bag, "run").quality.unreadable
@@ -189,10 +198,21 @@ def test_whatever_reads_a_document_refuses_such_a_one(tmp_path, refused):
     assert reason in line
     (tmp_path / "saved.json").write_text("[" * 100_000)
     assert "saved.json is no JSON" in refused("metrics", tmp_path / "saved.json")
+    for name in ("endless.json", "endless.yaml", "endless.urdf"):
+        (tmp_path / name).symlink_to("/dev/zero")
+    assert "it is a device, not a file" in refused("metrics", tmp_path / "endless.json")
+    assert "it is a device, not a file" in refused("compare", tmp_path / "endless.yaml")
+    assert "there is no file" in refused("robot", tmp_path / "endless.urdf")
+    os.mkfifo(tmp_path / "fifo.json")
+    assert "it is a FIFO, not a file" in refused("metrics", tmp_path / "fifo.json")
+    (tmp_path / "large.json").write_bytes(b"[" + b"0," * (LARGEST_JSON // 2) + b"0]")
+    assert f"it has more than {LARGEST_JSON} bytes" in refused("metrics", tmp_path / "large.json")
 
 
 def test_aliases_that_people_write_are_read(tmp_path):
     path = tmp_path / "file.yaml"
-    path.write_text("a: &a {p: 1}\nb: {<<: *a, d: 2}\nc: [*a, *a]\n")
+    keys = "20261128123456789: 1.234567890123456789, 3.141592653589793238: [98765432109876543210]"
+    path.write_text(f"a: &a {{p: 1}}\nb: {{<<: *a, d: 2}}\nc: [*a, *a]\nd: {{{keys}}}\n")
     expected = {"a": {"p": 1}, "b": {"p": 1, "d": 2}, "c": [{"p": 1}, {"p": 1}]}
+    expected["d"] = {20261128123456789: 1.234567890123456789, math.pi: [98765432109876543210]}
     assert load_yaml(path, ExperimentError) == expected

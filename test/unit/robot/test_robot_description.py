@@ -119,8 +119,9 @@ def test_a_file_that_cannot_be_read_is_one_clear_line(tmp_path: Path):
     binary.write_bytes(b"\xff\xfe\x00\x80")
     for path, says in (
         (tmp_path / "missing.urdf", "does not exist"),
-        (tmp_path, "directory"),
-        (binary, "codec"),
+        (tmp_path, "it is a folder, not a file"),
+        (binary, "it is not UTF-8 text"),
+        (Path("/dev/zero"), "it is a device, not a file"),
     ):
         with pytest.raises(RobotDescriptionError, match=says) as caught:
             RobotDescription.load(path)
@@ -206,6 +207,9 @@ def test_entities_are_not_expanded_without_end(entities: str, text: str):
         RobotDescription.load(xml)
 
 
-def test_a_file_larger_than_any_urdf_is_not_read_to_its_end():
+def test_a_file_larger_than_any_urdf_is_not_read_to_its_end(tmp_path: Path):
+    large = tmp_path / "large.urdf"
+    with large.open("wb") as stream:
+        stream.truncate(1 << 40)  # that takes no place
     with pytest.raises(RobotDescriptionError, match="has more than 16777216 bytes"):
-        RobotDescription.load("/dev/zero")
+        RobotDescription.load(large)
