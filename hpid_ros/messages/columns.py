@@ -7,7 +7,7 @@ have it, many at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -300,7 +300,8 @@ def carried(
 class _Group:
     """Messages that carry numbers of the same joints, whose times these share."""
 
-    def __init__(self, joints: Iterable[str]) -> None:
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        self.joints = joints
         self.times: list[tuple[Integers, Integers, Integers]] = []
         self.values: dict[str, list[Numbers]] = {joint: [] for joint in joints}
 
@@ -329,6 +330,7 @@ class JointStream:
         self._learn = LAYOUTS[type]
         self._field, self._joints, self._elements = field, joints, elements
         self._groups: dict[tuple[str, ...], _Group] = {}
+        self._of: dict[str, list[_Group]] = {}  # those that have numbers of a joint
         self.names: dict[str, None] = {}
         self.message_count = 0
         self.undecodable = 0
@@ -340,12 +342,19 @@ class JointStream:
             self._add_size(batch.picked(batch.sizes == size), size)
 
     def joints(self) -> frozenset[str]:
-        return frozenset(joint for group in self._groups.values() for joint in group.values)
+        return frozenset(self._of)
+
+    def has(self, joint: str) -> bool:
+        """Return whether there are samples of a joint that have not been taken."""
+        return joint in self._of
 
     def take(self, joint: str) -> JointSamples | None:
         """Return one joint's samples and forget them; None if there are none."""
-        parts = [g.samples(joint) for g in self._groups.values() if joint in g.values]
-        self._groups = {joints: group for joints, group in self._groups.items() if group.values}
+        parts = []
+        for group in self._of.pop(joint, ()):
+            parts.append(group.samples(joint))
+            if not group.values:
+                del self._groups[group.joints]
         if not parts:
             return None
         samples = parts[0] if len(parts) == 1 else JointSamples.joined(parts)
@@ -387,7 +396,11 @@ class JointStream:
         columns = self._columns(layout)
         if not columns:
             return
-        group = self._groups.setdefault(tuple(columns), _Group(columns))
+        group = self._groups.get(tuple(columns))
+        if group is None:
+            self._groups[tuple(columns)] = group = _Group(tuple(columns))
+            for joint in columns:
+                self._of.setdefault(joint, []).append(group)
         stamps = layout.stamps_ns(rows, which)
         group.times.append((stamps, batch.log_times_ns[which], batch.places[which]))
         for joint, index in columns.items():

@@ -67,8 +67,11 @@ class TrajectoryArrays(NamedTuple):
 
     def column(self, joint: str) -> Column:
         """Return one joint's column of what :meth:`require` let pass."""
-        at = self.names.index(joint)
-        return checked_column(joint, at, self.stamp_ns, self.times_ns, self.arrays)
+        return self.column_at(self.names.index(joint))
+
+    def column_at(self, at: int) -> Column:
+        """Return the column of the joint at a place among the names."""
+        return checked_column(self.names[at], at, self.stamp_ns, self.times_ns, self.arrays)
 
 
 def named_joints(raw: bytes) -> tuple[str, ...] | None:

@@ -21,7 +21,6 @@ from hpid_ros.messages.columns import (
     finite,
     ordered,
 )
-from hpid_ros.messages.joint_trajectory import TrajectoryArrays
 from hpid_ros.messages.selection import BagSelection, RecordedRun, TopicChoice, choose_topics
 from hpid_ros.messages.series import (
     HOLD,
@@ -369,9 +368,10 @@ class JointRun:
             trajectories, setpoints = self._given(asked, window), None
         else:
             trajectories = [
-                (f"trajectory {topic}", self._on_clock(log_time_ns, place, arrays))
-                for log_time_ns, place, topic, arrays in self._recording.trajectories
-                if self._joint in arrays.names
+                (f"trajectory {topic}", self._on_clock(log_time_ns, place, column))
+                for log_time_ns, place, topic, column in self._recording.trajectories_of(
+                    self._joint
+                )
             ]
             trajectories.sort(key=lambda each: each[1][:2])
             setpoints = self._setpoints()
@@ -453,9 +453,9 @@ class JointRun:
         samples, _ = finite(samples)
         return (f"setpoint {topic}", samples) if len(samples.values) else None
 
-    def _on_clock(self, log_time_ns: int, place: int, arrays: TrajectoryArrays) -> ReferenceEvent:
-        """Return a trajectory with its start carried to the clock of the series."""
-        column, header, states = arrays.column(self._joint), self._header_ns, self._samples
+    def _on_clock(self, log_time_ns: int, place: int, column: Column) -> ReferenceEvent:
+        """Return a column with its start carried to the clock of the series."""
+        header, states = self._header_ns, self._samples
         is_other = self._clock != "header" or self._selection.separates_runs
         if is_other and column.stamp_ns:
             following = min(states.first_after(log_time_ns, place), len(header) - 1)
@@ -608,9 +608,8 @@ def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequ
             f"{', '.join(commands) or 'any topic'} or has a reference; joints: "
             f"{', '.join(known)} (--command-topic JOINT=TOPIC[INDEX] says whose efforts are where)"
         )
-    for joint in joints:
-        if joint not in known:
-            raise BagError(f"{where}: {unknown_name('joint', joint, known)}")
+    for joint in set(joints).difference(known):
+        raise BagError(f"{where}: {unknown_name('joint', joint, known)}")
     return joints
 
 
@@ -642,9 +641,10 @@ def _run(
             raise SeriesError(f"joint {joint!r}: no state in the window")
     if not series:
         raise SeriesError(f"no joint has a state from {start} s to {end} s")
+    asked = frozenset(joints)
     for joint in recording.known_joints() if selection.every else ():
         with suppress(SeriesError):  # nobody asked for it
-            if joint not in joints and (
+            if joint not in asked and (
                 found := JointRun(recording, joint, selection).series(window)
             ):
                 one, losses[joint], qualities[joint] = found

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 from hpid_ros.base.errors import (
@@ -28,7 +29,7 @@ from hpid_ros.messages.columns import (
 )
 from hpid_ros.messages.joint_trajectory import TrajectoryArrays, decode_trajectory
 from hpid_ros.messages.series import HOLD, SeriesError
-from hpid_ros.motion.joint_trajectory import JointTrajectory
+from hpid_ros.motion.joint_trajectory import Column, JointTrajectory
 
 CLOCKS = ("header", "receive")
 """Where the time of states and stamped commands comes from.
@@ -539,6 +540,24 @@ class RecordedRun:
                 raise BagError(f"{batch.topic} at {log_time_ns} ns: {error}") from error
             self.trajectories.append((log_time_ns, place, batch.topic, decoded))
 
+    @cached_property
+    def _places(self) -> Mapping[str, Sequence[tuple[int, int]]]:
+        """Where each joint is: which trajectory, and which of its names."""
+        places: dict[str, list[tuple[int, int]]] = {}
+        for number, (*_, arrays) in enumerate(self.trajectories):
+            for at, name in enumerate(arrays.names):
+                places.setdefault(name, []).append((number, at))
+        return places
+
+    def trajectories_of(self, joint: str) -> Iterator[tuple[int, int, str, Column]]:
+        """Yield a joint's columns, each with log time in [ns], place in the files and topic.
+
+        To be asked when all messages have been added.
+        """
+        for number, at in self._places.get(joint, ()):
+            *where, arrays = self.trajectories[number]
+            yield (*where, arrays.column_at(at))
+
     def has_efforts(self) -> bool:
         streams = (*self.commands.values(), *self.floats.values())
         return any(stream.joints() for stream in streams)
@@ -549,7 +568,7 @@ class RecordedRun:
 
     def take_states(self, joint: str) -> JointSamples | None:
         """Return one joint's positions and forget them; None if there are none."""
-        topics = [topic for topic, stream in self.states.items() if joint in stream.joints()]
+        topics = [topic for topic, stream in self.states.items() if stream.has(joint)]
         if len(topics) > 1:
             raise SeriesError(
                 f"joint {joint!r}: its states are on {' and on '.join(topics)}, but must be on "

@@ -492,8 +492,9 @@ def checked_column(
     joint: str, at: int, stamp_ns: int, times_ns: Integers, arrays: PointArrays
 ) -> Column:
     """Return one joint's column of a trajectory that :func:`require_arrays` let pass."""
-    columns = (each[:, at].copy() for each in arrays)
-    column = Column(joint, KnotArrays(times_ns, *columns), stamp_ns)
+    columns = [each[:, at] for each in arrays]
+    kept = [each if each.strides == (0,) else each.copy() for each in columns]  # one for all
+    column = Column(joint, KnotArrays(times_ns, *kept), stamp_ns)
     _ = column.pace  # now: a loop that takes it over has no time for 50 000 knots
     return column
 

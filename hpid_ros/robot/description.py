@@ -265,6 +265,10 @@ def _axis(element: ElementTree.Element, where: str) -> tuple[float, float, float
 
 LARGEST_FILE = 16 << 20
 """Bytes of a URDF; meshes are files of their own."""
+MOST_JOINTS = 1000
+"""Moving joints of a URDF; humanoids with hands have about a hundred."""
+MOST_LINKS = 4000
+"""Links of a URDF: libraries that build a robot look for each name among all others."""
 _MOST_LEVELS = 32
 """Levels of elements; a URDF has six, and extensions few more."""
 _LONGEST_CHAIN = 256
@@ -310,13 +314,14 @@ class RobotDescription:
 
     def select(self, names: Iterable[str]) -> tuple[JointDescription, ...]:
         """Return the joints of the given names, in their order."""
-        wanted = tuple(names)
-        for index, name in enumerate(wanted):
+        found: dict[str, JointDescription] = {}
+        for name in names:
             if name not in self.joints:
                 raise RobotDescriptionError(unknown_name("joint", name, self.joints))
-            if name in wanted[:index]:
+            if name in found:
                 raise RobotDescriptionError(f"joint {name!r} is given twice")
-        return tuple(self.joints[name] for name in wanted)
+            found[name] = self.joints[name]
+        return tuple(found.values())
 
     def link(self, name: str) -> str:
         """Return the name of a link that exists."""
@@ -342,7 +347,11 @@ def _parse(xml: str, origin: str, folder: Path | None) -> RobotDescription:
         if joint.name in joints:
             raise RobotDescriptionError(f"{origin} has two joints of the name {joint.name!r}")
         joints[joint.name] = joint
+        if len(joints) > MOST_JOINTS:
+            raise RobotDescriptionError(f"{origin} has more than {MOST_JOINTS} moving joints")
     links = tuple(link.get("name", "") for link in root.findall("link"))
+    if len(links) > MOST_LINKS:
+        raise RobotDescriptionError(f"{origin} has more than {MOST_LINKS} links")
     return RobotDescription(
         root.get("name", ""),
         xml,

@@ -88,6 +88,20 @@ def build_model(
     return model
 
 
+MOST_COMPUTED = 150
+"""Moving joints of a robot whose dynamics are computed: Pinocchio's data grow with their cube."""
+
+
+def data_of(model: pinocchio.Model) -> pinocchio.Data:
+    """Return what Pinocchio computes a model's dynamics in."""
+    if model.njoints - 1 > MOST_COMPUTED:
+        raise RobotDescriptionError(
+            f"robot {model.name!r} has {model.njoints - 1} moving joints, and dynamics are "
+            f"computed for {MOST_COMPUTED} at most"
+        )
+    return model.createData()
+
+
 def velocity_index(model: pinocchio.Model, joint: str) -> int:
     """Return where a joint's velocity stands in the model's velocity vector."""
     return int(model.joints[model.getJointId(joint)].idx_v)
@@ -122,7 +136,7 @@ class Dynamics:
             payload_mass=payload_mass,
             payload_link=payload_link,
         )
-        self._data = self._model.createData()
+        self._data = data_of(self._model)
 
     def mass_matrix(self, names: Iterable[str], positions: Mapping[str, float]) -> Numbers:
         """Return the joints' block of the mass matrix, rotors included, in [kg m^2]."""
@@ -254,7 +268,7 @@ class JointSpace:
             mass_scale=mass_scale,
             locked=held,
         )
-        self._data = self._model.createData()
+        self._data = data_of(self._model)
         self.description = description
         moving = [joint.name for joint in description.joints.values() if joint.name not in held]
         self.joints = tuple(sorted(moving, key=lambda name: velocity_index(self._model, name)))
@@ -366,7 +380,7 @@ class InverseDynamics:
                 raise RobotDescriptionError(unknown_name("joint", name, description.joints))
         self._model = build_model(description)
         self._model.armature = np.zeros(self._model.nv)
-        self._data = self._model.createData()
+        self._data = data_of(self._model)
         model = self._model
         self._rows = [velocity_index(model, name) for name in joints]
         rest = np.zeros(model.nv)

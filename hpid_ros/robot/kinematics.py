@@ -24,7 +24,7 @@ import pinocchio
 from hpid_ros.base.errors import ReachError, RobotDescriptionError, SettingError
 from hpid_ros.base.units import Numbers
 from hpid_ros.robot.description import LinkPose, RobotDescription
-from hpid_ros.robot.dynamics import bare_model, velocity_index
+from hpid_ros.robot.dynamics import bare_model, data_of, velocity_index
 
 
 class LinkPoses(NamedTuple):
@@ -87,7 +87,7 @@ class Kinematics:
         self.description = description
         self.link = description.link(link)
         self._model = bare_model(description)
-        self._data = self._model.createData()
+        self._data = data_of(self._model)
         self._frame = self._model.getFrameId(link)
         chosen = description.select(self._chain() if joints is None else joints)
         if not chosen:
@@ -223,7 +223,7 @@ def link_poses(
 ) -> dict[str, LinkPoses]:
     """Return where each link is in the frame of the root link."""
     model = bare_model(description)
-    data = model.createData()
+    data = data_of(model)
     frames = {name: model.getFrameId(name) for name in description.links}
     motions = np.zeros((count, model.nv))
     for joint in description.select(positions):

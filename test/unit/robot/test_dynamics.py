@@ -9,7 +9,13 @@ from harness.places import URDF
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.dynamics import Dynamics, InverseDynamics
+from hpid_ros.robot.dynamics import (
+    MOST_COMPUTED,
+    Dynamics,
+    InverseDynamics,
+    build_model,
+    data_of,
+)
 
 MASS, LENGTH, ROTOR_INERTIA, GEAR_RATIO = 0.7, 0.4, 3e-6, 80.0
 
@@ -172,3 +178,18 @@ def test_rotors_that_spin_need_what_bodies_of_their_own_would(ratio):
 def test_a_joint_on_the_ground_with_nothing_behind_it_has_no_such_effort():
     body = InverseDynamics(RobotDescription.load(arm(False)), JOINTS[:1])
     assert not body.spin(*np.ones((3, 1, 5)), np.ones(1)).any()
+
+
+def test_dynamics_of_more_joints_than_memory_has_room_for_are_refused_in_a_line():
+    count = MOST_COMPUTED + 1
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    links = "".join(f'<link name="l{k}">{body}</inertial></link>' for k in range(count))
+    joints = "".join(
+        f'<joint name="j{k}" type="continuous"><parent link="r"/><child link="l{k}"/></joint>'
+        for k in range(count)
+    )
+    many = RobotDescription.load(f'<robot name="many"><link name="r"/>{links}{joints}</robot>')
+    with pytest.raises(RobotDescriptionError, match=f"has {count} moving joints, and dynamics"):
+        Dynamics(many)
+    held = build_model(many, locked=["j0"])  # as many as are not held
+    assert data_of(held) is not None
