@@ -56,6 +56,29 @@ def names_text(names: Sequence[str]) -> str:
     return f"[{', '.join(map(name_text, names[:_SHOWN_NAMES]))}{further}]"
 
 
+class LineBudget:
+    """How many lines of a log are written of what comes again and again.
+
+    Some at once, as what begins has several things to say, and then few a second.
+    """
+
+    def __init__(self, at_once: int = 20, rate: float = 2.0) -> None:
+        self._at_once, self._rate = at_once, rate
+        self._left, self._at = float(at_once), 0.0
+        self._left_out = 0
+
+    def admitted(self, line: str, now: float) -> str:
+        """Return a line, with how many were left out before it; empty if it is one of them."""
+        self._left = min(self._left + self._rate * max(now - self._at, 0.0), self._at_once)
+        self._at = now
+        if self._left < 1.0:
+            self._left_out += 1
+            return ""
+        self._left -= 1.0
+        left_out, self._left_out = self._left_out, 0
+        return f"{line} ({left_out} lines before it were left out)" if left_out else line
+
+
 def shown_lines(text: str) -> str:
     """Return a text of several lines, each as :func:`shown`; tabs stay."""
     if text.replace("\n", "").isprintable():

@@ -19,7 +19,15 @@ from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import steady_timer
 from hpid_ros.nodes.core.parameters import declare, read
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
+from hpid_ros.nodes.core.status import (
+    ERROR,
+    OK,
+    WARN,
+    Diagnostics,
+    StatusParameters,
+    StatusPipe,
+    log_change,
+)
 from hpid_ros.nodes.core.waiting import Waiting
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, GoalFollower, Outcome
 from hpid_ros.nodes.parts.goal_graph import GroupTopics
@@ -99,7 +107,7 @@ class GoalHealth(Diagnostics):
         self._counts["cancelled" if result is CANCELLED else result.code.name.lower()] += 1
         self._last_result = result.text
         if result.code is ResultCode.SUCCESSFUL:
-            self._logger.info(f"goal ended: {result.text}")
+            log_change(self._node, f"goal ended: {result.text}")
             return
         self._last_result = f"{result.code.name.lower()}: {result.text}"
         self._logger.warning(f"goal ended: {self._last_result}", throttle_duration_sec=0.1)

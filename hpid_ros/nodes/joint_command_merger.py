@@ -31,7 +31,15 @@ from hpid_ros.nodes.core.middleware import (
 from hpid_ros.nodes.core.parameters import read, read_one
 from hpid_ros.nodes.core.process import Scheduling, schedule
 from hpid_ros.nodes.core.rclpy_internals import given_parameters
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
+from hpid_ros.nodes.core.status import (
+    ERROR,
+    OK,
+    WARN,
+    Diagnostics,
+    StatusParameters,
+    StatusPipe,
+    log_change,
+)
 from hpid_ros.nodes.core.waiting import (
     PUBLISHER,
     Wait,
@@ -494,9 +502,7 @@ class JointCommandMerger(ManagedNode):
         if self._is_unusable:
             self._health.fault(self._reported)
         else:
-            self.get_logger().info(
-                self._reported or f"merging: {', '.join(self._receiver.joints)}"
-            )
+            log_change(self, self._reported or f"merging: {', '.join(self._receiver.joints)}")
         self._report()
 
     def _report_silences(self, merger: CommandMerger) -> None:

@@ -28,7 +28,7 @@ from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import NEWEST_STATES, RARE, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.process import Scheduling, schedule
-from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
+from hpid_ros.nodes.core.status import StatusParameters, StatusPipe, log_change
 from hpid_ros.nodes.core.waiting import (
     PUBLISHER,
     SeenJoints,
@@ -425,7 +425,7 @@ class JointController(ManagedNode):
             return
         settings = self._tuning.with_changes(changes)
         if settings.floor_warning and not self._loop.settings.floor_warning:
-            self.get_logger().warning(settings.floor_warning)
+            log_change(self, settings.floor_warning, is_warning=True)
         self._loop.retune(settings)
         if self._model is not None:
             self._model.states.retune(settings)
@@ -445,7 +445,7 @@ class JointController(ManagedNode):
     def _report(self) -> None:
         if self._is_timeout_reported and self._loop.state is not LoopState.SILENT:
             self._is_timeout_reported = False
-            self.get_logger().info("states come again: the joint is controlled")
+            log_change(self, "states come again: the joint is controlled")
         before, self._standstill = self._standstill, self._find_standstill()
         if self._standstill and not before:
             self._health.fault(self._standstill)

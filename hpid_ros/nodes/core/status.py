@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from hpid_ros.base.records import Record, quantity
-from hpid_ros.base.text import bounded
+from hpid_ros.base.text import LineBudget, bounded
 from hpid_ros.nodes.core.middleware import RARE
 from hpid_ros.nodes.core.parameters import read
 
@@ -131,6 +131,21 @@ def note_failure(node: Node, line: str) -> None:
         return
     diagnostics.failed_messages += 1
     diagnostics.fault(line)
+
+
+_BUDGETS: WeakKeyDictionary[Node, LineBudget] = WeakKeyDictionary()
+
+
+def log_change(node: Node, line: str, *, is_warning: bool = False) -> None:
+    """Log that something has changed; what changes all the time is not logged each time."""
+    budget = _BUDGETS.setdefault(node, LineBudget())
+    line = budget.admitted(bounded(line, LONGEST_FAULT), time.monotonic())
+    if not line:
+        return
+    if is_warning:  # rclpy wants a line of its own for each severity
+        node.get_logger().warning(line)
+    else:
+        node.get_logger().info(line)
 
 
 class Diagnostics:

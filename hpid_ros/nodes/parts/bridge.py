@@ -37,7 +37,15 @@ from hpid_ros.nodes.core.middleware import (
 )
 from hpid_ros.nodes.core.parameters import read, read_one
 from hpid_ros.nodes.core.process import Scheduling, schedule
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusParameters, StatusPipe
+from hpid_ros.nodes.core.status import (
+    ERROR,
+    OK,
+    WARN,
+    Diagnostics,
+    StatusParameters,
+    StatusPipe,
+    log_change,
+)
 from hpid_ros.nodes.core.waiting import Wait, Waiting, described, fits, other_side, unseen
 from hpid_ros.nodes.parts.bridge_commanders import Commanders, HeldCommands
 from hpid_ros.nodes.parts.bridge_services import (
@@ -451,7 +459,7 @@ class RobotBridge(executor.ClosingNode):
         if waited > _LAST_LOOK * timeout:
             given_up = self._barrier.time_out()
             line = f"no answer within {timeout} s: {', '.join(given_up)}{self._unstamped()}"
-            self.get_logger().warning(line)
+            log_change(self, line, is_warning=True)
             self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
             if not self._barrier.is_abandoned:
                 self._resume()

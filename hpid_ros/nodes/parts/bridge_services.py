@@ -23,6 +23,7 @@ from hpid_ros.messages import reports as wire
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 from hpid_ros.nodes.core.parameters import read
+from hpid_ros.nodes.core.status import log_change
 from hpid_ros.simulation.gripper import GRASPED, LOST, MISSED, GripEvent
 from hpid_ros.simulation.reports import CLOCK, KINDS, REPORT_RATE, Reports, grip_words
 from hpid_ros.simulation.world import World
@@ -114,7 +115,7 @@ class BridgeServices:
                 self._wrench_ns,
             )
         except HpidError as error:
-            self._node.get_logger().warning(f"wrench refused: {error}")
+            log_change(self._node, f"wrench refused: {error}", is_warning=True)
 
     def _at_now(self, what: str) -> str:
         return f"{what} at {self._world.time_ns / NANOSECONDS:.3f} s"
@@ -275,11 +276,7 @@ class BridgeReports:
             self._publishers[topic].publish(raw)
 
     def _on_grip_event(self, event: GripEvent) -> None:
-        # rclpy wants each severity on a line of its own.
-        if event.outcome in (MISSED, LOST):
-            self._node.get_logger().warning(grip_words(event))
-        else:
-            self._node.get_logger().info(grip_words(event))
+        log_change(self._node, grip_words(event), is_warning=event.outcome in (MISSED, LOST))
 
     def _on_grip(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         assert self._world.gripper is not None

@@ -32,6 +32,7 @@ from rclpy.timer import Timer
 from hpid_ros.base.errors import ClaimError
 from hpid_ros.base.names import claim_topic
 from hpid_ros.base.records import Record, quantity
+from hpid_ros.base.text import name_text
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, has_shared_memory_alone, held, steady_timer
 from hpid_ros.nodes.core.parameters import read
@@ -145,6 +146,9 @@ class Claim:
         return (other.since_ns, *other.owner) < (self.since_ns, *self.owner)
 
 
+_MOST_CLAIMS = 64  # of others that are known at once
+
+
 class ReceivedClaims:
     """The claims of others that have not ended."""
 
@@ -155,7 +159,7 @@ class ReceivedClaims:
         self._drop_ended(now)
         if claim.state is ClaimState.RELEASED:
             self._received.pop(claim.owner, None)
-        else:
+        elif claim.owner in self._received or len(self._received) < _MOST_CLAIMS:
             self._received[claim.owner] = now, claim
 
     def standing(self, now: float) -> Claim | None:
@@ -317,7 +321,7 @@ class JointClaim:
             claim = _from_message(message)
         except (KeyError, ValueError):
             self._node.get_logger().warning(
-                f"no claim of a joint: {message.name!r}", throttle_duration_sec=5.0
+                f"no claim of a joint: {name_text(message.name)}", throttle_duration_sec=5.0
             )
             return
         mine = self._claim

@@ -32,7 +32,7 @@ from hpid_ros.control.settings import (
 from hpid_ros.messages.joint_state import JointSample, RobotReader
 from hpid_ros.nodes.core.middleware import steady_timer
 from hpid_ros.nodes.core.parameters import declare, read
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, log_change
 from hpid_ros.robot.description import robot_limits
 from hpid_ros.stability.certifier import Certifier
 
@@ -342,10 +342,11 @@ class ControllerHealth(Diagnostics):
             for unit, (low, high) in limits.items()
             if max(-low, high) < _NO_LIMIT
         ]
-        self._node.get_logger().info(
+        log_change(
+            self._node,
             f"active: joint {settings.joint}, {settings.law}{degree}, "
             f"{'within ' + ', '.join(within) if within else 'no limits'}; "
-            f"{loop.state.value}: {loop.reference[0]:.6g} {self.unit('rad')}"
+            f"{loop.state.value}: {loop.reference[0]:.6g} {self.unit('rad')}",
         )
 
     def misread_state(self, line: str) -> None:
@@ -379,9 +380,10 @@ class ControllerHealth(Diagnostics):
         return self._refusal if self._refusal_reports >= 0 else ""
 
     def relay_begins(self, request: RelayRequest) -> None:
-        self._node.get_logger().info(
+        log_change(
+            self._node,
             f"a relay of {request.amplitude:g} {self.unit('N m')} drives the joint for "
-            f"{request.cycles:g} cycles, {request.duration:g} s at most"
+            f"{request.cycles:g} cycles, {request.duration:g} s at most",
         )
 
     def _relay(self) -> str:
