@@ -20,6 +20,8 @@ import ctypes
 import logging
 import math
 import os
+import signal
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -166,6 +168,83 @@ def bullet_urdf(description: RobotDescription, *, is_shown: bool = False) -> str
     return ElementTree.tostring(robot, encoding="unicode")
 
 
+_TRIAL = """
+import sys
+import pybullet
+pybullet.connect(pybullet.DIRECT)
+for urdf in sys.argv[1:]:
+    print("reading", flush=True)
+    try:
+        pybullet.loadURDF(urdf)
+    except pybullet.error:  # which is said where the robot is loaded
+        pass
+"""
+_TRIED_WITHIN = 120.0  # [s]
+
+_Mesh = tuple[str, str, int, int]
+"""Its element's kind and its file, with the file's time of change in [ns] and size."""
+
+_TRIED: dict[_Mesh, str] = {}  # why a mesh cannot be read; empty if it can
+
+
+def require_readable_meshes(urdf: str) -> None:
+    """Refuse meshes with which PyBullet would crash, or never return.
+
+    Its readers believe what a file says of itself. So a process of its own reads each first, once
+    for as long as the file stays as it is.
+    """
+    robot, meshes = ElementTree.fromstring(urdf), dict[_Mesh, ElementTree.Element]()
+    for kind in ("collision", "visual"):
+        for mesh in robot.iterfind(f"link/{kind}/geometry/mesh"):
+            file = Path(mesh.get("filename", ""))
+            if file.is_file():
+                state = file.stat()
+                meshes[kind, str(file), state.st_mtime_ns, state.st_size] = mesh
+    untried = [key for key in meshes if key not in _TRIED]
+    with tempfile.TemporaryDirectory(prefix="hpid_ros_") as folder:
+        files = [
+            _trial_file(Path(folder) / f"{number}.urdf", key[0], meshes[key])
+            for number, key in enumerate(untried)
+        ]
+        while untried:
+            read, reason = _tried(files)
+            _TRIED.update(dict.fromkeys(untried[:read], ""))
+            if reason:
+                _TRIED[untried[read]] = reason
+                read += 1
+            untried, files = untried[read:], files[read:]
+    for key in meshes:
+        if _TRIED[key]:
+            raise RobotDescriptionError(f"PyBullet cannot read the mesh {key[1]}: {_TRIED[key]}")
+
+
+def _trial_file(path: Path, kind: str, mesh: ElementTree.Element) -> str:
+    """Write a robot of one link that has a mesh."""
+    robot = ElementTree.Element("robot", name="trial")
+    link = ElementTree.SubElement(robot, "link", name="link")
+    _add_inertial(link, 1.0, 1.0)
+    geometry = ElementTree.SubElement(ElementTree.SubElement(link, kind), "geometry")
+    geometry.append(mesh)
+    path.write_bytes(ElementTree.tostring(robot))
+    return str(path)
+
+
+def _tried(files: Sequence[str]) -> tuple[int, str]:
+    """Return how many files another process has read, and why it has not read the next one."""
+    command = [sys.executable, "-c", _TRIAL, *files]
+    with tempfile.TemporaryFile() as output:  # what it wrote is there, whatever becomes of it
+        try:
+            code = subprocess.run(
+                command, stdout=output, stderr=output, timeout=_TRIED_WITHIN, check=False
+            ).returncode
+            reason = f"it crashes ({signal.Signals(-code).name})" if code < 0 else ""
+        except subprocess.TimeoutExpired:
+            reason = f"it has not been read within {_TRIED_WITHIN:g} s"
+        output.seek(0)
+        begun = output.read().split(b"\n").count(b"reading")
+    return (max(begun - 1, 0), reason) if reason else (len(files), "")
+
+
 def _place_meshes(link: ElementTree.Element, tag: str, folder: Path | None) -> None:
     """Make the paths of a link's meshes absolute; leave out shapes whose mesh is missing."""
     for shape in link.findall(tag):
@@ -206,6 +285,7 @@ class BulletPhysics:
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
         self._urdf = bullet_urdf(description, is_shown=settings.gui)
+        require_readable_meshes(self._urdf)
         self.client = Client(settings.gui)
         self._damping: Sequence[float] | None = None
         self._brakes: Sequence[float] | None = None
