@@ -138,7 +138,7 @@ def read_text(path: Path, most: int, error: type[HpidError] = SettingError) -> s
         if kind := other_kind(path):
             raise error(f"cannot read {path}: it is a {kind}, not a file")
         with path.open("rb") as stream:
-            raw = stream.read(most + 1)
+            raw = stream.read(min(path.stat().st_size, most) + 1)
         if len(raw) > most:
             raise error(f"cannot read {path}: it has more than {most} bytes")
         return raw.decode("utf-8")
