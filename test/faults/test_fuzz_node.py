@@ -1,12 +1,14 @@
 """Ten thousand messages and ten thousand sets of parameters at a controller that runs."""
 
 import math
+import os
 from contextlib import suppress
 
 import numpy as np
 from harness.fuzzing import StateFuzzer
 from harness.graph import NAME, Told, ros_arguments
 from harness.loops import pure_loop
+from harness.poison import memory_of
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.qos import qos_profile_parameters
@@ -16,7 +18,7 @@ from hpid_ros.control import LoopSettings
 from hpid_ros.control.assembly import make_law
 
 MS = 1_000_000
-MESSAGES, SETS = 10_000, 10_000
+MESSAGES, SETS = int(os.environ.get("HPID_FUZZ_MESSAGES", "10000")), 10_000
 AT_ONCE = 8  # sets under way; the test hears ten answers to states at once
 LIMITS = {"u_clamp_max": 20.0, "u_clamp_min": -15.0, "position_max": 2.0, "velocity_max": 9.0}
 # All of them shall arrive: as a recorder's, not as a controller's subscription.
@@ -49,6 +51,7 @@ def test_ten_thousand_messages_and_the_node_is_as_it_was(harness, faults):
     efforts = np.array([command.effort[0] for command in harness.commands])
     assert np.all((efforts >= -15.0) & (efforts <= 20.0))
     assert process.poll() is None
+    faults.count("memory [MiB]: live node, at the end", memory_of(process.pid, "VmRSS"))
     # Back to normal by itself: a clock that goes back starts the loop anew, exactly.
     harness.commands.clear()
     twin = pure_loop(law="hpid", mu=-0.2, **LIMITS, **gains)

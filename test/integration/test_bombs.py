@@ -15,6 +15,7 @@ from harness.bags import convert, small_log, write_bag, write_mcap
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
+from benchmarks.bounds import CASES, costs
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.files import LARGEST_JSON
 from hpid_ros.base.yaml_files import MOST_LEVELS, load_yaml
@@ -207,6 +208,17 @@ def test_whatever_reads_a_document_refuses_such_a_one(tmp_path, refused):
     assert "it is a FIFO, not a file" in refused("metrics", tmp_path / "fifo.json")
     (tmp_path / "large.json").write_bytes(b"[" + b"0," * (LARGEST_JSON // 2) + b"0]")
     assert f"it has more than {LARGEST_JSON} bytes" in refused("metrics", tmp_path / "large.json")
+
+
+@pytest.mark.parametrize(
+    "what", ["joints of a state", "joints of a URDF", "keys", "points", "points without numbers"]
+)
+def test_what_strangers_send_costs_time_and_memory_in_proportion(tmp_path, what):
+    """In the benchmark the time of eight times the size is at most twice as much for each item."""
+    case = CASES[what]
+    small, large = (costs(case.make(tmp_path, size)) for size in (case.first, 8 * case.first))
+    assert large[0] < 40.0 * small[0]  # a square would be 64
+    assert large[1] < 12.0 * small[1]
 
 
 def test_aliases_that_people_write_are_read(tmp_path):
