@@ -10,7 +10,7 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.base.errors import SettingError, reason_of
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.messages.selection import BagSelection, parse_command_topics
 from hpid_ros.metrics.comparison import Comparison
@@ -149,8 +149,8 @@ class BagMetrics(executor.ClosingNode):
         for bag in self._bags.new():
             try:
                 self._report([measure(bag, self._label(bag), self._how)], self._baseline)
-            except (HpidError, OSError) as error:
-                self.get_logger().error(str(error))
+            except Exception as error:  # of one bag: the others are measured all the same
+                self.get_logger().error(reason_of(error))
 
     def _label(self, bag: Path) -> str:
         taken = None if self._baseline is None else self._baseline.label
