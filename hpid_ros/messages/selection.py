@@ -555,8 +555,8 @@ class RecordedRun:
         To be asked when all messages have been added.
         """
         for number, at in self._places.get(joint, ()):
-            *where, arrays = self.trajectories[number]
-            yield (*where, arrays.column_at(at))
+            log_time_ns, place, topic, arrays = self.trajectories[number]
+            yield log_time_ns, place, topic, arrays.column_at(at)
 
     def has_efforts(self) -> bool:
         streams = (*self.commands.values(), *self.floats.values())

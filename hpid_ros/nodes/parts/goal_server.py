@@ -291,9 +291,11 @@ class GoalServer:
             if isinstance(found, Exception):
                 raise found
             self._begin(found)  # which ends the one before
-        except Exception as error:
-            known = isinstance(error, GoalError)
-            self._finish(handle, error.result if known else GoalError(reason_of(error)).result)
+        except GoalError as error:
+            self._finish(handle, error.result)
+            return
+        except Exception as error:  # of any kind: the goal is refused
+            self._finish(handle, GoalError(reason_of(error)).result)
             return
         self._active = handle
 
