@@ -3,22 +3,90 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.text import shown
 
+_CONTROLLER = "_controller"
+_OTHER = re.compile("[^A-Za-z0-9_]")
+_ESCAPE = re.compile("(?:^|_)((?:u[0-9a-f]{4,6}_)+)")
+_LOOKS_ESCAPED = re.compile("u[0-9a-f]{4,6}(?:_|[^A-Za-z0-9_])")
+_LONGEST_NODE, _SHOWN = (
+    200,
+    60,
+)  # characters; with a service and its reply behind it, DDS allows 255
+
+
+def node_word(text: str) -> str:
+    """Return a text as a part of a name of ROS: letters, digits and underscores stay.
+
+    Every other character, and a digit that comes first, becomes ``u`` with its number in Unicode,
+    between underscores: ``left-arm`` is ``left_u002d_arm``, ``1st`` is ``u0031_st``. What looks so
+    already is escaped, too, so that no two texts have one name; :func:`text_of_word` leads back.
+    """
+    escaped: list[str] = []
+    parts: list[str] = []
+    is_after_escape = True  # as at the beginning, where the underscore in front is left out
+    for at, character in enumerate(text):
+        is_escaped = (
+            _OTHER.match(character) is not None
+            or (at == 0 and character.isdigit())
+            or (character == "_" and _LOOKS_ESCAPED.match(text, at + 1) is not None)
+            or (is_after_escape and _LOOKS_ESCAPED.match(text, at) is not None)
+        )
+        if is_escaped:
+            escaped.append(f"u{ord(character):04x}_")
+        else:
+            if escaped:
+                parts += ["_" if parts else "", *escaped]
+                escaped.clear()
+            parts.append(character)
+        is_after_escape = is_escaped
+    return "".join([*parts, "_" if parts and escaped else "", *escaped])
+
+
+def text_of_word(word: str) -> str:
+    """Return the text that :func:`node_word` makes this word of; else the word itself."""
+
+    def unescaped(match: re.Match[str]) -> str:
+        numbers = (int(each[1:], 16) for each in match[1].split("_")[:-1])
+        return "".join(chr(number) if number <= sys.maxunicode else "" for number in numbers)
+
+    text = _ESCAPE.sub(unescaped, word)
+    return text if node_word(text) == word else word
+
 
 def controller_name(joint: str) -> str:
     """Return the node name of a joint's controller in a composition, a launch or a run."""
-    return f"{joint}_controller"
+    return f"{node_word(joint)}{_CONTROLLER}"
+
+
+def joint_of_controller(node: str) -> str:
+    """Return the joint whose controller has this name, by :func:`controller_name`."""
+    return text_of_word(node.removesuffix(_CONTROLLER))
+
+
+def require_node_names(joints: Iterable[str], error: type[HpidError]) -> None:
+    """Refuse joints after which no node, and no file of its log, can be called."""
+    for joint in joints:
+        length = len(controller_name(joint))
+        if not joint:
+            raise error("a joint without a name cannot have a node")
+        if length > _LONGEST_NODE:
+            raise error(
+                f"joint {joint[:_SHOWN]!r}... cannot have a node: its name, "
+                f"{controller_name(joint)[:_SHOWN]}..., would have {length} characters, "
+                f"{_LONGEST_NODE} are allowed"
+            )
 
 
 def claim_topic(commands: str, joint: str) -> str:
     """Return the topic on which a joint is claimed; ``ros2 topic list`` hides it."""
-    return f"{commands}/_claim_{re.sub('[^A-Za-z0-9]+', '_', joint)}"
+    return f"{commands}/_claim_{node_word(joint)}"
 
 
 ALL_JOINTS = "all joints"

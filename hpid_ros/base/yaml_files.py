@@ -13,6 +13,7 @@ import yaml
 
 from hpid_ros.base.errors import HpidError, unknown_name
 from hpid_ros.base.files import is_file, read_text, share_folder
+from hpid_ros.base.yaml_text import dump_yaml
 
 EXTENDS = "extends"
 """The key that names the file that a document extends."""
@@ -107,7 +108,7 @@ def _load(path: Path, extending: tuple[Path, ...], error: type[HpidError]) -> Do
         merged = _merged(base.values, changes, "", error)
     except error as refusal:
         raise error(f"{file}: {refusal}") from None
-    dumped = yaml.safe_dump(merged, sort_keys=False, allow_unicode=True)
+    dumped = dump_yaml(merged)
     lowest = dict.fromkeys(_places(base.values), base.path)
     origins = {**lowest, **base.origins, **dict.fromkeys(_places(changes), path)}
     return Document(merged, dumped, (file, *base.files), path, origins)

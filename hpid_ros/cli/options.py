@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, require_known
 from hpid_ros.base.files import find_resource, write_file
+from hpid_ros.base.names import joint_of_controller
 from hpid_ros.base.records import Section, take_record
 from hpid_ros.base.yaml_files import load_document, load_yaml
 from hpid_ros.control.controller_files import ParameterFile, parameters_from
@@ -331,7 +332,8 @@ def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
 
 def shown_name(name: str) -> str:
     """Return a loop's name as tables have it."""
-    return name.strip("/").removesuffix("_controller")
+    space, mark, node = name.strip("/").rpartition("/")
+    return f"{space}{mark}{joint_of_controller(node)}"
 
 
 def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
 import select
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from hpid_ros.base.errors import ExperimentError, RunError, SettingError
-from hpid_ros.base.names import controller_name
+from hpid_ros.base.names import controller_name, require_node_names
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment
@@ -80,7 +79,6 @@ _LEAVE_WITHIN = 10.0  # [s] for all nodes to leave and to say how long they took
 _CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
 
 _PHASES = ("starting", "running", "recording", "leaving")
-_NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
 RECORDER, REFERENCE = "bag_recorder", "trajectory_publisher"
 COMPOSED, SINGLE = "joint_controllers", "single_process"
 
@@ -189,16 +187,6 @@ class GraphNodes:
         ]
 
 
-def require_node_names(joints: Iterable[str]) -> None:
-    """Refuse joints after which no node, and no file of its log, can be called."""
-    for joint in joints:
-        if not _NODE_NAME.fullmatch(controller_name(joint)):
-            raise ExperimentError(
-                f"joint {joint!r} cannot have a node, whose name is letters, digits and "
-                "underscores, the first no digit; --in-process needs none"
-            )
-
-
 def run_on_graph(
     experiment: Experiment,
     label: str,
@@ -214,7 +202,7 @@ def run_on_graph(
     """
     options = options or GraphOptions()
     begun = [time.monotonic()]
-    require_node_names(each.joint for each in experiment.controllers[label])
+    require_node_names((each.joint for each in experiment.controllers[label]), ExperimentError)
     require_shared_memory()
     nodes = GraphNodes(experiment, label, bag, folder, options)
     with (

@@ -7,20 +7,18 @@ The same files serve the nodes on a real robot: ``ros2 run hpid_ros joint_contro
 from __future__ import annotations
 
 import itertools
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-import yaml
-
 from hpid_ros.base.durations import NOTHING
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.base.yaml_files import parse_yaml
+from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment, following_loops, nested
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
@@ -52,7 +50,7 @@ def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> d
 
 
 def controllers_text(settings: Sequence[LoopSettings], robot: str = "") -> str:
-    return str(yaml.safe_dump(controllers_document(settings, robot), sort_keys=False))
+    return dump_yaml(controllers_document(settings, robot))
 
 
 def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
@@ -98,10 +96,7 @@ def write_reference(folder: Path, experiment: Experiment) -> Path:
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
     """Write a YAML file; the text of a robot gets a file of its own beside it."""
     values = _with_robots_beside(document, path.resolve().parent)
-    path.write_text(
-        yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=sys.maxsize),
-        encoding="utf-8",
-    )
+    path.write_text(dump_yaml(values), encoding="utf-8")
 
 
 def _with_robots_beside(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:

@@ -33,6 +33,7 @@ from hpid_ros.base.errors import RunError
 from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.base.processes import uninterrupted
+from hpid_ros.base.yaml_text import inline_yaml
 from hpid_ros.experiment.forking import Beginning, ForkedProcess, ForkServer
 
 SHARED_MEMORY = Path("/dev/shm")
@@ -276,7 +277,7 @@ def parameters(**values: object) -> list[str]:
     arguments = []
     for name, value in values.items():
         # ROS reads it as YAML, to which a path may be a comment or a mapping.
-        text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
+        text = inline_yaml(str(value) if isinstance(value, Path) else value)
         arguments += ["-p", f"{name}:={text}"]
     return arguments
 

@@ -21,6 +21,7 @@ import yaml
 from hpid_ros.base.errors import HpidError, RunError, SettingError, require_known
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import Numbers, unit_over
+from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.settings import LAWS, LawName, LoopSettings
 from hpid_ros.experiment.batch import LAST_ERROR, Runner, RunRecord, RunTask, run_batch
@@ -541,10 +542,7 @@ class SearchResult:
         if best is None:
             return ""
         entry = compare_entry(self._plan.experiment, self._plan.space, best.loops)
-        text: str = yaml.safe_dump(
-            {"compare": {self.label: entry}}, sort_keys=False, default_flow_style=None, width=96
-        )
-        return text
+        return dump_yaml({"compare": {self.label: entry}}, flow=None, width=96)
 
     def points_csv(self) -> str:
         """Return every point, one a row: its place, parameters, cost, ratios, last error."""

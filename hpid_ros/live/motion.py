@@ -20,9 +20,8 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import IO, Any, Literal, NamedTuple
 
-import yaml
-
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
+from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.experiment.processes import NodeGroup, NodeProcess, Process, parameters
 from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.messages.run import read_run
@@ -170,7 +169,7 @@ def _recorded(
 ) -> Iterator[NodeProcess]:
     """Record while the block runs, and close the bag when nothing is told any more."""
     file = place / "controllers.yaml"
-    file.write_text(yaml.safe_dump(dict(graph.document), sort_keys=False))
+    file.write_text(dump_yaml(dict(graph.document)), encoding="utf-8")
     commands = ["joint_commands"] if graph.has_commands else []
     topics = ["/parameter_events", *told, *commands, "joint_states"]
     slides = [name for name, each in graph.controllers.items() if each.limits.is_slide]

@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import yaml
-
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.yaml_files import parse_yaml
+from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.control.controller_files import given_parameters
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
 from hpid_ros.live.advice import Advice, AdviceClient
@@ -548,7 +547,7 @@ class LiveSession:
             for node, each in self.controllers.items()
             if each.is_here
         }
-        return str(yaml.safe_dump(sections, sort_keys=False))
+        return dump_yaml(sections)
 
     def load(self, text: str, name: str) -> list[str]:
         """Stage what a parameter file says."""

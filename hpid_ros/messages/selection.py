@@ -16,6 +16,7 @@ from hpid_ros.base.errors import (
     TrajectoryError,
     unknown_name,
 )
+from hpid_ros.base.names import joint_of_controller
 from hpid_ros.messages.bounds import RECORDED
 from hpid_ros.messages.columns import (
     CONTROLLER_STATE,
@@ -146,9 +147,6 @@ def parse_command_topics(texts: Sequence[str]) -> dict[str, CommandTopic]:
     return topics
 
 
-_CONTROLLER = "_controller"
-
-
 def find_topic(where: str, name: str, types: Mapping[str, str], allowed: Collection[str]) -> str:
     """Return the full name of a topic."""
     found = matching(name, types)
@@ -189,7 +187,7 @@ def is_below(topic: str, namespace: str) -> bool:
 
 def joint_of(topic: str) -> str:
     """Return the joint of a controller's own topic: ``elbow`` of ``/elbow_controller/command``."""
-    return last_part(namespace_of(topic)).removesuffix(_CONTROLLER)
+    return joint_of_controller(last_part(namespace_of(topic)))
 
 
 _FLOATS = (FLOAT64, FLOAT64_MULTI_ARRAY)

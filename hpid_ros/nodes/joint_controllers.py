@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rclpy.parameter import Parameter
-from rclpy.validate_node_name import validate_node_name
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.names import controller_name
+from hpid_ros.base.names import controller_name, require_node_names
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
@@ -47,10 +46,9 @@ def make_nodes() -> list[executor.ClosingNode]:
     composition = executor.ClosingNode("joint_controllers")
     asked = read(composition, CompositionParameters)
     joints = list(asked.joints or ())
-    for joint in joints:
-        validate_node_name(controller_name(joint))
     if not joints or len(set(joints)) != len(joints):
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
+    require_node_names(joints, SettingError)
     waiting = Waiting(composition)  # six joints that wait for the same are one line
     merger = None
     if asked.merge:

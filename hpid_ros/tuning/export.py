@@ -16,12 +16,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.base.names import node_word
 from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.base.yaml_text import dump_yaml, inline_yaml
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.reference import (
     GRACE_NS,
@@ -400,7 +401,9 @@ def templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(real=_real, double=_double, pair=_pair, comment=_comment)
+    environment.filters.update(
+        real=_real, double=_double, pair=_pair, comment=_comment, yaml=inline_yaml
+    )
     return environment
 
 
@@ -445,7 +448,7 @@ def require_package(name: str, joints: Sequence[str]) -> None:
             "of a-z, 0-9 and single _, and begin with a letter"
         )
     for joint in joints:
-        if not _NODE.fullmatch(joint):
+        if not _NODE.fullmatch(joint) or node_word(joint) != joint:
             raise SettingError(
                 f"joint {joint!r} cannot have a node of its own in a plugin: its name must be of "
                 "A-Z, a-z, 0-9 and _, and begin with a letter"
@@ -473,7 +476,7 @@ def package_files(
     files = {
         "config/joints.yaml": joints_file,
         "config/certificates.json": certificates,
-        "src/parameters.yaml": yaml.safe_dump(_parameters(package), sort_keys=False, width=100),
+        "src/parameters.yaml": dump_yaml(_parameters(package), width=100),
     }
     own = c_files(loops[0], "double", source, c)
     files |= {f"src/{c}{end}": own[f"{c}{end}"] for end in (".h", ".c")}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import GainError, SettingError, unknown_name
 from hpid_ros.base.units import Numbers
+from hpid_ros.base.yaml_text import inline_yaml
 from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.closed_loop import Certificate
@@ -222,12 +223,12 @@ def yaml_text(designs: Mapping[str, DesignedGains], head: str) -> str:
     rows = {}
     for joint, each in designs.items():
         gains = ", ".join(f"{name}: {number_text(getattr(each.gains, name))}" for name in "pid")
-        rows[joint] = f"{{gains: {{{gains}}}, inertia: {number_text(each.inertia)}}}"
-    width = max(len(joint) + len(row) for joint, row in rows.items())
+        row = f"{inline_yaml(joint)}: {{gains: {{{gains}}}, inertia: {number_text(each.inertia)}}}"
+        rows[joint] = row
+    width = max(map(len, rows.values()))
     lines = [f"# {head}", "controllers:", "  joints:"]
     for joint, row in rows.items():
-        padding = " " * (width - len(joint) - len(row))
-        lines.append(f"    {joint}: {row}{padding}  # {verdict_text(designs[joint])}")
+        lines.append(f"    {row:<{width}}  # {verdict_text(designs[joint])}")
     return "\n".join(lines) + "\n"
 
 

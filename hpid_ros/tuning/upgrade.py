@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -15,6 +14,7 @@ from hpid_ros.base.errors import GainError, HpidError, NormError, SettingError
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND, of_slide, unit_over
+from hpid_ros.base.yaml_text import inline_yaml
 from hpid_ros.control.controller_files import INERTIA_RANGES
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.control.settings import LARGEST_EFFORT, PARAMETERS, LoopSettings, Value
@@ -439,9 +439,9 @@ def upgrade_text(
     slides: Collection[str] = frozenset(),
 ) -> str:
     settings = [each.settings if isinstance(each, Upgrade) else each for each in loops]
-    joints = ", ".join(each.joint for each in settings)
+    joints = inline_yaml([each.joint for each in settings])
     lines = [*(f"# {shown(line)}".rstrip() for line in header), ""]
-    lines += [f"{ANYWHERE}joint_controllers:", "  ros__parameters:", f"    joints: [{joints}]"]
+    lines += [f"{ANYWHERE}joint_controllers:", "  ros__parameters:", f"    joints: {joints}"]
     lines += _inertia_ranges([each for each in loops if isinstance(each, Upgrade)], slides)
     for each, own in zip(loops, settings, strict=True):
         name = controller_name(own.joint)
@@ -455,9 +455,9 @@ def controller_section(
 ) -> list[str]:
     settings, reasons = (loop.settings, loop.reasons) if isinstance(loop, Upgrade) else (loop, {})
     said = [f"# {shown(note)}" for note in notes]
-    parameters = _parameters(settings, reasons)
+    parameters = _parameters(settings, reasons, is_slide=is_slide)
     if is_slide:
-        said, parameters = ([of_slide(line) for line in part] for part in (said, parameters))
+        said = [of_slide(line) for line in said]
     return [*said, f"{ANYWHERE}{name}:", "  ros__parameters:", *parameters]
 
 
@@ -477,7 +477,9 @@ def _inertia_ranges(upgrades: Sequence[Upgrade], slides: Collection[str]) -> lis
     return lines
 
 
-def _parameters(settings: LoopSettings, reasons: Mapping[str, str]) -> list[str]:
+def _parameters(
+    settings: LoopSettings, reasons: Mapping[str, str], *, is_slide: bool
+) -> list[str]:
     lines: list[str] = []
     section = ""
     for name, value in settings.to_parameters().items():
@@ -487,7 +489,9 @@ def _parameters(settings: LoopSettings, reasons: Mapping[str, str]) -> list[str]
             lines.append(f"    {inner}:")
         section = inner
         entry = f"{'      ' if inner else '    '}{last}: {_value(value)}"
-        lines.append(f"{entry:<{_COMMENT_COLUMN}}  # {_reason(reasons, name, value)}")
+        reason = _reason(reasons, name, value)
+        said = of_slide(reason) if is_slide else reason
+        lines.append(f"{entry:<{_COMMENT_COLUMN}}  # {said}")
     return lines
 
 
@@ -496,7 +500,7 @@ def _value(value: Value) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return value if value.isidentifier() else json.dumps(value)
+        return inline_yaml(value)
     if 0.0 < abs(value) < _LEAST_PLAIN:
         return number_text(value)
     text = f"{value:.6g}"

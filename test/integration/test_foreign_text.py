@@ -213,4 +213,4 @@ def test_a_file_that_cannot_be_parsed_is_told_in_one_line(tmp_path):
 def test_joints_after_which_no_node_can_be_called_start_none(joint):
     """The log of a joint's node is named after it: this was a way out of the result folder."""
     with pytest.raises(ExperimentError, match="cannot have a node"):
-        require_node_names([joint])
+        require_node_names([joint], ExperimentError)

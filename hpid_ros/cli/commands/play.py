@@ -13,13 +13,13 @@ from pathlib import Path
 from rich.console import Console
 
 from hpid_ros.base.errors import ExperimentError, RunError, require_known
-from hpid_ros.base.names import controller_name
+from hpid_ros.base.names import controller_name, require_node_names
 from hpid_ros.base.processes import raise_if_interrupted, require_ros
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import experiment_to_run
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph_run import COMPOSED, REFERENCE, require_node_names
+from hpid_ros.experiment.graph_run import COMPOSED, REFERENCE
 from hpid_ros.experiment.in_process import (
     bridge_document,
     bridge_name,
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
     experiment = experiment_to_run(options)
     label = options.controller or list(experiment.controllers)[-1]
     require_known("controller", [label], experiment.controllers, ExperimentError)
-    require_node_names(experiment.world.joints)
+    require_node_names(experiment.world.joints, ExperimentError)
     console = output_console()
     with (
         tempfile.TemporaryDirectory(prefix="hpid_play_") as folder,

@@ -121,11 +121,26 @@ def as_declared(given: Parameter, kind: Parameter.Type) -> Parameter:
         return Parameter(given.name, kind, [])
     if given.type_ == _Type.NOT_SET or (given.type_ == _Type.STRING and given.value in _UNSET):
         return Parameter(given.name)
-    quotes = f", written '{given.value}'" if kind == _Type.STRING else ""
+    hint = _quoting(given) if kind in (_Type.STRING, _Type.STRING_ARRAY) else ""
     raise SettingError(
-        f"{given.name} must be {_WORDS[kind]}{quotes}, "
-        f"not {_WORDS[given.type_]} ({shown(given.value)})"
+        f"{given.name} must be {_WORDS[kind]}, "
+        f"not {_WORDS[given.type_]} ({shown(given.value)}){hint}"
     )
+
+
+def _quoting(given: Parameter) -> str:
+    """Return how to write the text that ROS has taken for something else."""
+    is_array = given.type_.name.endswith("_ARRAY")
+    value = given.value[0] if is_array else given.value
+    if isinstance(value, bool):
+        words = ("y", "yes", "on", "true") if value else ("n", "no", "off", "false")
+        why, example = f"{', '.join(words[:-1])} and {words[-1]} are booleans to ROS", words[0]
+    elif isinstance(value, int | float):
+        why, example = "numbers are no texts to ROS", f"{value:g}"
+    else:
+        return ""
+    quoted = f'["{example}"]' if is_array else f'"{example}"'
+    return f"; without quotes {why}: write '{quoted}'"
 
 
 def _number(given: Parameter, kind: Parameter.Type) -> float | list[float] | None:

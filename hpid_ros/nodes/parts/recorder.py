@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -27,6 +26,7 @@ from rclpy.validate_topic_name import validate_topic_name
 from hpid_ros.base.errors import BagError, HpidError, SettingError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.yaml_files import load_yaml
+from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.messages.storage import PARAMETERS, missed_entries, slides_entry
 from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
@@ -307,7 +307,7 @@ def _controllers(file: str) -> dict[str, str]:
         return {}
     document = load_yaml(Path(file), SettingError)
     settings_from_parameters(document, file)
-    return {PARAMETERS: yaml.safe_dump(document, sort_keys=False)}
+    return {PARAMETERS: dump_yaml(document)}
 
 
 def _positive(missed: Mapping[str, int]) -> dict[str, int]:
