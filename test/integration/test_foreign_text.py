@@ -4,6 +4,7 @@ import csv
 import html
 import io
 import json
+import re
 import subprocess
 import sys
 
@@ -15,12 +16,11 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.console import TextConsole, guarded_output
 from hpid_ros.base.errors import ExperimentError, HpidError, ResultExistsError
-from hpid_ros.base.names import is_label
+from hpid_ros.base.names import controller_name, is_label, require_node_names
 from hpid_ros.base.text import csv_text, shown, shown_lines
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph_run import require_node_names
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics import Comparison
@@ -209,8 +209,15 @@ def test_a_file_that_cannot_be_parsed_is_told_in_one_line(tmp_path):
     assert not controls(run.stderr)
 
 
-@pytest.mark.parametrize("joint", ["../../x", "a/b", "a b", "ü", "1st", "a\x1b"])
-def test_joints_after_which_no_node_can_be_called_start_none(joint):
-    """The log of a joint's node is named after it: this was a way out of the result folder."""
-    with pytest.raises(ExperimentError, match="cannot have a node"):
-        require_node_names([joint], ExperimentError)
+@pytest.mark.parametrize("joint", ["../../x", "a/b", "a b", "\xfc", "1st", "a\x1b", "y"])
+def test_the_log_of_a_joints_node_stays_in_its_folder(joint):
+    """It is named after the node: this was a way out of the result folder."""
+    require_node_names([joint], ExperimentError)
+    assert re.fullmatch("[A-Za-z][A-Za-z0-9_]*", controller_name(joint))
+
+
+@pytest.mark.parametrize(("joint", "length"), [("a" * 191, 202), ("\xfc" * 40, 251)])
+def test_joints_after_which_no_file_can_be_called_start_no_node(joint, length):
+    refusal = f"cannot have a node: its name, .*, would have {length} characters, 200 are allowed"
+    with pytest.raises(ExperimentError, match=refusal):
+        require_node_names(["a", joint], ExperimentError)
