@@ -93,7 +93,7 @@ busy: JOBS := 2
 busy: $(VENV)/.test-installed
 	@(while :; do :; done) & first=$$!; (while :; do :; done) & second=$$!; \
 	trap "kill $$first $$second" EXIT; trap "exit 1" INT TERM; failed=0; \
-	$(PYTEST) $(SPREAD) -m "not alone and not closed" test/graph test/faults $(ARGS) || failed=1; \
+	$(PYTEST) $(SPREAD) -m "not alone and not closed" test/graph test/field test/faults $(ARGS) || failed=1; \
 	$(PYTEST) -m "not alone" test/closed $(ARGS) || failed=1; \
 	exit $$failed
 
