@@ -12,6 +12,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from harness.control_msgs import why_not
 from harness.graph import ros_arguments
 from hpid_ros.base.names import controller_name
+from hpid_ros.base.yaml_text import inline_yaml
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import OFFERED
 
@@ -89,7 +90,7 @@ class Joints:
             state_clock="simulated", certify=False, introspection_rate=-1.0, **GAINS
         )
         arguments += ros_arguments(control_period=PERIOD, state_watchdog=False)
-        names = f"[{', '.join(self.joints)}]"
+        names = inline_yaml(list(self.joints))
         start, processes = self.harness.processes.start, {}
         if composed:
             arguments += ["-p", f"joints:={names}"]
@@ -100,7 +101,7 @@ class Joints:
         else:
             for joint in self.joints:
                 name = controller_name(joint)
-                own = [*arguments, *ros_arguments(joint=joint)]
+                own = [*arguments, *ros_arguments(joint=inline_yaml(joint))]
                 processes[joint] = start(name, "joint_controller", own)
         processes["action"] = self.start_action(action, **parameters)
         self.harness.wait(
@@ -115,12 +116,12 @@ class Joints:
         self.run(lambda: all(self.references.values()), what="references of all joints")
         return SimpleNamespace(**processes)
 
-    def start_action(self, name=ACTION, **parameters):
+    def start_action(self, name=ACTION, arguments=(), **parameters):
         """Start an action server; a busy machine is no silence."""
         parameters.setdefault("state_timeout", 3.0)
-        parameters.setdefault("joints", f"[{', '.join(self.joints)}]")
+        parameters.setdefault("joints", inline_yaml(list(self.joints)))
         return self.harness.processes.start(
-            name, "follow_joint_trajectory", ros_arguments(**parameters)
+            name, "follow_joint_trajectory", [*arguments, *ros_arguments(**parameters)]
         )
 
     def run(self, condition, within=60.0, what="the condition"):

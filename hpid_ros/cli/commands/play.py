@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import tempfile
 import time
 from collections.abc import Mapping
@@ -130,7 +131,7 @@ def _print(console: Console, experiment: Experiment, label: str, *, is_page_miss
     lines += [
         "in another terminal:",
         "  hpid check-gains --live                 # for which degrees are they certified?",
-        f"  hpid excite --joint {joints[-1]}         # move a joint, and record it",
+        f"  hpid excite --joint {shlex.quote(joints[-1])}         # move a joint, and record it",
         f"  ros2 param set {node} mu 0.2  # where ROS 2 is installed",
         "Ctrl-C ends it.",
     ]
