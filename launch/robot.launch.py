@@ -29,6 +29,7 @@ from launch_ros.substitutions import FindPackageShare
 from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import bridge_name, recorded_topics, write_run_files
+from hpid_ros.experiment.processes import parameters
 from hpid_ros.nodes.core.launching import failures
 from hpid_ros.nodes.core.process import LAUNCH
 from hpid_ros.robot.description import RobotDescription
@@ -91,7 +92,7 @@ def nodes(context):
             package="hpid_ros",
             executable="trajectory_publisher",
             namespace=namespace,
-            parameters=[{"reference_file": str(experiment.path)}],
+            ros_arguments=parameters(reference_file=experiment.path),
         ),
         Node(
             package="hpid_ros",
@@ -150,14 +151,12 @@ def nodes(context):
                 executable="bag_recorder",
                 namespace=namespace,
                 on_exit=Shutdown(),
-                parameters=[
-                    {
-                        "bag": value["bag"],
-                        # What was retuned, too: hpid replay computes every command anew.
-                        "topics": ["/parameter_events", *recorded_topics(experiment.world)],
-                        "controllers_file": controllers,
-                    }
-                ],
+                ros_arguments=parameters(  # the file that launch makes has y for "y"
+                    bag=value["bag"],
+                    # What was retuned, too: hpid replay computes every command anew.
+                    topics=["/parameter_events", *recorded_topics(experiment.world)],
+                    controllers_file=controllers,
+                ),
             )
         )
     if is_shown:
