@@ -17,6 +17,7 @@ from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, requi
 from hpid_ros.base.files import find_resource, write_file
 from hpid_ros.base.names import joint_of_controller
 from hpid_ros.base.records import Section, take_record
+from hpid_ros.base.text import shown
 from hpid_ros.base.yaml_files import load_document, load_yaml
 from hpid_ros.control.controller_files import ParameterFile, parameters_from
 from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
@@ -56,8 +57,7 @@ def warn_uncontrolled(experiments: Iterable[Experiment]) -> None:
     uncontrolled = dict.fromkeys(
         settings.joint
         for experiment in experiments
-        for loops in experiment.controllers.values()
-        for settings in loops
+        for settings in loops_of(experiment)
         if settings.gains.p == settings.gains.i == settings.gains.d == 0.0
     )
     if uncontrolled:
@@ -68,30 +68,28 @@ def warn_uncontrolled(experiments: Iterable[Experiment]) -> None:
         )
 
 
-def warn_unlimited(experiment: Experiment) -> None:
-    """Warn of joints that nothing limits, neither the robot's description nor the loops."""
-    clamped = {
+def warn_unlimited(robot: RobotDescription, loops: Iterable[LoopSettings]) -> None:
+    """Warn of joints that nothing limits, neither the robot's description nor their loops."""
+    unlimited = dict.fromkeys(
         settings.joint
-        for loops in experiment.controllers.values()
         for settings in loops
-        if settings.effort.largest < LARGEST_EFFORT
-    }
-    world = experiment.world
-    known = experiment.description.joints
-    idle = [j for j in world.joints if known[j].effort == 0.0]
-    if idle:
-        print(
-            f"hpid: warning: {', '.join(idle)}: the URDF's effort limit is 0, nothing drives it; "
-            "robot.joints.NAME.effort in the experiment says another",
-            file=sys.stderr,
-        )
-    unlimited = [j for j in world.joints if math.isinf(known[j].effort) and j not in clamped]
+        if settings.effort.largest == LARGEST_EFFORT
+        and settings.joint in robot.joints
+        and math.isinf(robot.joints[settings.joint].effort)
+    )
     if unlimited:
         print(
-            f"hpid: warning: {', '.join(unlimited)}: no effort limit, neither in the URDF nor as "
-            "u_clamp_max: a robot would not stand what this simulation does",
+            f"hpid: warning: {', '.join(map(shown, unlimited))}: no effort limit, neither in the "
+            "URDF nor as u_clamp_max: nothing says what the motor can give, and a controller with "
+            "this URDF does not start",
             file=sys.stderr,
         )
+
+
+def loops_of(experiment: Experiment) -> Iterator[LoopSettings]:
+    """Yield the loops of all controllers of an experiment."""
+    for loops in experiment.controllers.values():
+        yield from loops
 
 
 def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
@@ -110,7 +108,7 @@ def experiment_to_run(options: argparse.Namespace) -> Experiment:
     experiment = named_experiment(options.experiment, engine)
     require_engine(experiment.world.engine)
     warn_uncontrolled([experiment])
-    warn_unlimited(experiment)
+    warn_unlimited(experiment.description, loops_of(experiment))
     return experiment
 
 
@@ -167,7 +165,12 @@ _POSES = 200
 
 def load_robot(name: str) -> GivenRobot:
     """Return the robot of a URDF, of an experiment file or of what ``hpid identify`` wrote."""
-    file = find_resource(name)
+    robot = _load_robot(find_resource(name))
+    robot.description.require_sound()
+    return robot
+
+
+def _load_robot(file: Path) -> GivenRobot:
     if file.suffix not in (".yaml", ".yml"):
         plain = RobotDescription.load(file)
         return GivenRobot(str(file), plain, initial_positions=plain.start({}))
@@ -336,9 +339,15 @@ def shown_name(name: str) -> str:
     return f"{space}{mark}{joint_of_controller(node)}"
 
 
-def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]:
-    """Return loops with the inertias to judge them on."""
+def judged_loops(
+    options: argparse.Namespace, file: ParameterFile, experiment: Experiment | None
+) -> list[Loop]:
+    """Return loops with the inertias to judge them on; warn of those that nothing limits."""
     loops = file.loops.values()
+    if options.urdf:
+        warn_unlimited(load_robot(options.urdf).description, loops)
+    elif experiment is not None:
+        warn_unlimited(experiment.description, loops)
     known = {**file.inertias, **inertias_from(options, [each.joint for each in loops])}
     return [(each, inertia_of(each, known.get(each.joint))) for each in loops]
 

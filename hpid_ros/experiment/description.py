@@ -103,7 +103,9 @@ def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[Loo
         raise ExperimentError("compare must name at least one controller")
     for label in labels:
         require_label(label, compared.where, ExperimentError)
-    joints = RobotDescription.load(world.robot_description).select(world.joints)
+    description = RobotDescription.load(world.robot_description)
+    description.require_sound()
+    joints = description.select(world.joints)
     result = {}
     for label in labels:
         changes = _parameters(compared, label, but=_JOINTS)

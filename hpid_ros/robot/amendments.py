@@ -217,8 +217,8 @@ def review(description: RobotDescription) -> list[Remark]:
 def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterator[Remark]:
     joints = list(description.joints.values())
     lacks: list[tuple[Callable[[JointDescription], bool], str]] = [
-        (lambda j: not 0.0 < j.effort < math.inf, "no effort limit"),
-        (lambda j: not 0.0 < j.velocity < math.inf, "no velocity limit"),
+        (lambda j: math.isinf(j.effort), "no effort limit"),
+        (lambda j: math.isinf(j.velocity), "no velocity limit"),
         (lambda j: j.damping == j.friction == 0.0, "no friction, neither viscous nor Coulomb"),
         (
             lambda j: j.rotor_inertia == 0.0,

@@ -172,8 +172,9 @@ def read_joint(
         child=_link(element, "child", where),
         lower=_number(limit, "lower", -math.inf, where) if is_bounded else -math.inf,
         upper=_number(limit, "upper", math.inf, where) if is_bounded else math.inf,
-        effort=_number(limit, "effort", math.inf, where, 0.0),
-        velocity=_number(limit, "velocity", math.inf, where, 0.0) or math.inf,  # as many write it
+        # 0 says none, as many write it: whoever drives the joint must say what it can give
+        effort=_number(limit, "effort", math.inf, where, 0.0) or math.inf,
+        velocity=_number(limit, "velocity", math.inf, where, 0.0) or math.inf,
         damping=_number(dynamics, "damping", 0.0, where, 0.0),
         friction=_number(dynamics, "friction", 0.0, where, 0.0),
         rotor_inertia=rotor_inertia,
@@ -263,6 +264,70 @@ def _axis(element: ElementTree.Element, where: str) -> tuple[float, float, float
     return x, y, z
 
 
+class Contradiction(NamedTuple):
+    """What no robot can be as it is described."""
+
+    joints: tuple[str, ...]  # the joints that it is about; empty for a link
+    text: str  # one line
+
+
+def _contradictions(
+    robot: ElementTree.Element, joints: Mapping[str, JointDescription]
+) -> Iterator[Contradiction]:
+    for name, joint in joints.items():
+        if joint.lower > joint.upper:
+            text = f"lower limit {joint.lower:g} is above its upper limit {joint.upper:g}"
+            yield Contradiction((name,), f"joint {name!r}: its {text}: correct the URDF")
+        elif joint.lower == joint.upper:
+            text = f"limits are both {joint.lower:g}, it cannot move"
+            out = "make it fixed in the URDF, or hold it (robot.held)"
+            yield Contradiction((name,), f"joint {name!r}: its {text}: {out}")
+    yield from _mimic_contradictions(robot, joints)
+    for link in robot.findall("link"):
+        found = link.find("inertial/mass")
+        text = "0" if found is None else found.get("value", "0")
+        try:
+            mass = float(text)
+        except ValueError:
+            mass = math.nan
+        if not 0.0 <= mass < math.inf:
+            name = link.get("name", "")
+            yield Contradiction(
+                (), f"link {name!r}: its mass {text!r} is no mass in kg, 0 or more"
+            )
+
+
+def _mimic_contradictions(
+    robot: ElementTree.Element, joints: Mapping[str, JointDescription]
+) -> Iterator[Contradiction]:
+    """Yield joints that follow nothing, themselves, or each other in a circle."""
+    known = [element.get("name", "") for element in robot.findall("joint")]
+    leader = {
+        element.get("name", ""): mimic.get("joint", "")
+        for element in robot.findall("joint")
+        if (mimic := element.find("mimic")) is not None
+    }
+    leader = {name: leader[name] for name in joints if name in leader}
+    told: set[str] = set()
+    for name, other in leader.items():
+        if other not in known:
+            text = f"joint {name!r}: it mimics {unknown_name('joint', other, known)}"
+            yield Contradiction((name,), text)
+            continue
+        if name in told:
+            continue
+        row, following = {name: None}, other
+        while following and following not in row and following not in told:
+            row[following] = None
+            following = leader.get(following, "")
+        told.update(row)
+        if following in row:
+            row = dict.fromkeys(list(row)[list(row).index(following) :])
+            circle = " -> ".join([*row, following])
+            text = f"joint {following!r}: it mimics itself: {circle}"
+            yield Contradiction(tuple(row), text)
+
+
 LARGEST_FILE = 16 << 20
 """Bytes of a URDF; meshes are files of their own."""
 MOST_JOINTS = 1000
@@ -286,6 +351,7 @@ class RobotDescription:
     links: tuple[str, ...]  # names of all links, in the order of the file
     root: str  # name of the link that hangs on no joint
     folder: Path | None = None  # folder of the file, for meshes with relative paths
+    contradictions: tuple[Contradiction, ...] = ()  # what no robot can be
 
     @property
     def slides(self) -> frozenset[str]:
@@ -313,7 +379,7 @@ class RobotDescription:
         return _parse(text.lstrip("\ufeff \t\r\n"), str(path), path.resolve().parent)
 
     def select(self, names: Iterable[str]) -> tuple[JointDescription, ...]:
-        """Return the joints of the given names, in their order."""
+        """Return the joints of the given names, in their order, which must be sound."""
         found: dict[str, JointDescription] = {}
         for name in names:
             if name not in self.joints:
@@ -321,13 +387,25 @@ class RobotDescription:
             if name in found:
                 raise RobotDescriptionError(f"joint {name!r} is given twice")
             found[name] = self.joints[name]
+        _refuse(each for each in self.contradictions if not found.keys().isdisjoint(each.joints))
         return tuple(found.values())
+
+    def require_sound(self) -> None:
+        """Refuse a description that contradicts itself, for what needs the whole robot."""
+        _refuse(self.contradictions)
 
     def link(self, name: str) -> str:
         """Return the name of a link that exists."""
         if name not in self.links:
             raise RobotDescriptionError(unknown_name("link", name, self.links))
         return name
+
+
+def _refuse(found: Iterable[Contradiction]) -> None:
+    lines = [each.text for each in found]
+    if lines:
+        more = f"; and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
+        raise RobotDescriptionError("; ".join(lines[:_SHOWN]) + more)
 
 
 def _parse(xml: str, origin: str, folder: Path | None) -> RobotDescription:
@@ -359,6 +437,7 @@ def _parse(xml: str, origin: str, folder: Path | None) -> RobotDescription:
         links,
         _root_link(root, links, origin),
         folder,
+        tuple(_contradictions(root, joints)),
     )
 
 

@@ -22,6 +22,7 @@ def bare_model(
     description: RobotDescription, root: pinocchio.JointModel | None = None
 ) -> pinocchio.Model:
     """Build the model that a URDF describes."""
+    description.require_sound()
     xml = _with_limits(description.xml)
     try:
         return pinocchio.buildModelFromXML(xml, *(() if root is None else (root,)))

@@ -148,7 +148,7 @@ class Drive:
         self._ratio = joint.gear_ratio
         self._limit = joint.effort
         motor = settings.motor
-        if motor is None and settings.pwm is not None and not 0.0 < joint.effort < math.inf:
+        if motor is None and settings.pwm is not None and math.isinf(joint.effort):
             raise SettingError(
                 f"pwm of joint {joint.name!r} needs a motor or an effort limit in the URDF"
             )

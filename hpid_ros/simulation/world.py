@@ -205,6 +205,7 @@ class World:
     def __init__(self, settings: WorldSettings) -> None:
         self.settings = settings
         self.description = RobotDescription.load(settings.robot_description)
+        self.description.require_sound()
         joints = self.description.select(settings.joints)
         settings.start(self.description)
         self._limits = [min(joint.effort, sys.float_info.max) for joint in joints]

@@ -259,12 +259,11 @@ def _base(candidate: Candidate, scale: float) -> Upgrade:
         base = _in_units_of_effort(base, scale, reasons)
     base = _with_statistics(base, candidate.statistics, reasons)
     least, largest, limit = base.effort.u_clamp_min, base.effort.u_clamp_max, candidate.effort
-    if limit > 0.0:  # a URDF says 0 where nothing is known
-        within = {
-            "u_clamp_min": max(least, min(-limit, largest)),
-            "u_clamp_max": min(largest, limit),
-        }
-        base = base.with_parameters(within)
+    within = {
+        "u_clamp_min": max(least, min(-limit, largest)),
+        "u_clamp_max": min(largest, limit),
+    }
+    base = base.with_parameters(within)
     for name, was in (("u_clamp_min", least), ("u_clamp_max", largest)):
         if getattr(base.effort, name) != was:
             had = "" if abs(was) == LARGEST_EFFORT else f"; it was {was:g}"
@@ -424,7 +423,7 @@ def propose(
 
 
 def effort_limits(description: RobotDescription) -> dict[str, float]:
-    """Return the limits of a robot's motors, by joint, in [N m]; 0 where it says none."""
+    """Return the limits of a robot's motors, by joint, in [N m]; inf where it says none."""
     return {name: joint.effort for name, joint in description.joints.items()}
 
 

@@ -130,7 +130,7 @@ def _amendment(found: JointIdentification, limit: float) -> JointAmendment:
         gear_ratio=None if rotor is None else 1.0,
         damping=_possible(found.estimates.get(VISCOUS)),
         friction=_possible(found.estimates.get(COULOMB)),
-        effort=found.effort_limit if found.effort_limit < (limit or math.inf) else None,
+        effort=found.effort_limit if found.effort_limit < limit else None,
     )
 
 

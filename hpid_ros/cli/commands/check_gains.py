@@ -26,6 +26,7 @@ from hpid_ros.cli.options import (
     named_experiment,
     shown_name,
     sliding_joints,
+    warn_unlimited,
 )
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control.controller_files import ParameterFile
@@ -122,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
             return _verify(saved, options.json)
     experiment, file = _loops(options)
     loops = file.loops
-    judged = judged_loops(options, file)
+    judged = judged_loops(options, file, experiment)
     with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as progress:
         verdicts = check_gains(judged, progress)
     by_name = dict(zip(map(shown_name, loops), verdicts, strict=True))
@@ -221,6 +222,7 @@ def gains(options: argparse.Namespace) -> int:
         loops = {each.joint: each for each in first_homogeneous(experiment)}
         inertias = initial_inertias(experiment, tuple(loops.values()))
         slides, frictions = experiment.slides, experiment.frictions
+        warn_unlimited(experiment.description, loops.values())
     with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
         designs = design(
             loops, inertias, options.rule, options.closed_loop_time, options.delay, progress

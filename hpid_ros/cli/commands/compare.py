@@ -14,9 +14,11 @@ from hpid_ros.cli.options import (
     BOTH,
     chosen_engines,
     experiment_to_run,
+    loops_of,
     named_experiment,
     output_folder,
     warn_uncontrolled,
+    warn_unlimited,
 )
 from hpid_ros.cli.terminal import (
     RunProgress,
@@ -99,6 +101,7 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
     experiments = [named_experiment(options.experiment, engine) for engine in engines]
     warn_uncontrolled(experiments)
     first = experiments[0]
+    warn_unlimited(first.description, loops_of(first))
     output = output_folder(options, first.name)
     console = output_console()
     labels = [named(label, engine) for engine in engines for label in first.controllers]

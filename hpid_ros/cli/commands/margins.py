@@ -45,7 +45,7 @@ from hpid_ros.stability.measured_margins import (
 def run(options: argparse.Namespace) -> int:
     experiment, file = loop_file(options.file)
     file = _chosen(file, experiment, options)
-    judged = judged_loops(options, file)
+    judged = judged_loops(options, file, experiment)
     families = _families(options, experiment, judged)
     names = [shown_name(name) for name in file.loops]
     charts = _charts(options, dict(zip(names, families, strict=True)))

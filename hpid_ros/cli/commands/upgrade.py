@@ -26,6 +26,7 @@ from hpid_ros.cli.options import (
     load_robot,
     parameter_file,
     sliding_joints,
+    warn_unlimited,
     write_output,
 )
 from hpid_ros.cli.terminal import output_console
@@ -112,6 +113,7 @@ def _of_bag(options: argparse.Namespace) -> int:
         lambda phase: errors.print(phase, style="dim"),
         _certifying(errors),
     )
+    warn_unlimited(robot.description, found.loops)
     prediction, contents = found.prediction, {"page": render(found, files)}
     if prediction.is_credible:
         contents = {"parameters": parameter_text(found), **contents}
@@ -252,6 +254,8 @@ def _of_file(options: argparse.Namespace) -> int:
     inertias = {**file.inertias, **inertias_from(options, joints, visited_poses(recorded))}
     robot = _robot(options.urdf) if options.urdf else None
     limits = effort_limits(robot.description) if robot else {}
+    if robot:
+        warn_unlimited(robot.description, loops)
     proposals, failures = propose(
         loops, inertias, recorded, limits, options.goal, _certifying(errors)
     )
