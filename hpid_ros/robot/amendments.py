@@ -124,8 +124,8 @@ def amended(
     Meshes of packages get their ``package://`` name and others their absolute path, since the
     new text stands in no folder.
     """
-    description.select(list(joints))
-    description.select(list(held))
+    description.named(joints)
+    description.named(held)
     robot = ElementTree.fromstring(description.xml)
     elements = {element.get("name", ""): element for element in robot.findall("joint")}
     for name, amendment in joints.items():

@@ -379,7 +379,14 @@ class RobotDescription:
         return _parse(text.lstrip("\ufeff \t\r\n"), str(path), path.resolve().parent)
 
     def select(self, names: Iterable[str]) -> tuple[JointDescription, ...]:
-        """Return the joints of the given names, in their order, which must be sound."""
+        """Return the joints of the given names, in their order, as what uses them needs them."""
+        found = self.named(names)
+        wanted = {joint.name for joint in found}
+        _refuse(each for each in self.contradictions if not wanted.isdisjoint(each.joints))
+        return found
+
+    def named(self, names: Iterable[str]) -> tuple[JointDescription, ...]:
+        """Return the joints of the given names, whatever is said of them."""
         found: dict[str, JointDescription] = {}
         for name in names:
             if name not in self.joints:
@@ -387,7 +394,6 @@ class RobotDescription:
             if name in found:
                 raise RobotDescriptionError(f"joint {name!r} is given twice")
             found[name] = self.joints[name]
-        _refuse(each for each in self.contradictions if not found.keys().isdisjoint(each.joints))
         return tuple(found.values())
 
     def require_sound(self) -> None:

@@ -238,7 +238,6 @@ def test_effort_limits_are_the_narrower_of_the_urdfs_and_the_pids():
         ((-1e6, 1e6), 30.0, (-30.0, 30.0)),
         ((-10.0, 50.0), 30.0, (-10.0, 30.0)),
         ((-10.0, 10.0), 30.0, (-10.0, 10.0)),
-        ((-1e6, 1e6), 0.0, (-1e6, 1e6)),  # a URDF's 0 says nothing
         ((-1e6, 1e6), math.inf, (-1e6, 1e6)),
     ]
     candidates = [

@@ -149,7 +149,7 @@ def test_a_shape_that_it_does_not_know_is_one_clear_line():
 @pytest.mark.parametrize(
     ("right", "wrong", "says"),
     [
-        ('mass value="1"', 'mass value="1kg"', "could not convert string to float: '1kg'"),
+        ('ixx="0.1"', 'ixx="0.1k"', "could not convert string to float: '0.1k'"),
         ('"0 0 -0.5"', '"0 -0.5"', "incompatible function arguments"),
         ('name="tool">', 'name="tool"><contact><stiffness value="k"/></contact>', "'k'"),
         ('<link name="tool">', f'<link name="tool">{BOX.format("1 1")}', "incompatible"),
