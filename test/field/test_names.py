@@ -1,5 +1,6 @@
 """Joints whose names other languages read as something else: YAML, ROS, shells, folders."""
 
+import re
 import subprocess
 import sys
 
@@ -172,3 +173,18 @@ def test_goals_are_followed_by_joints_of_any_name(harness, tmp_path):
     assert status == SUCCEEDED, text
     assert all(abs(joints.position[name] - 0.1) < 0.05 for name in JOINTS)
     client.close()
+
+
+def test_a_name_forges_no_line_of_a_log(harness):
+    name = "a\n[ERROR] [1.0] [robot]: on fire \x1b[31m"
+    process = harness.processes.start(
+        controller_name(name),
+        "joint_controller",
+        parameters(joint=name, state_clock="simulated", wait_for_command_subscribers=0),
+    )
+    harness.wait(lambda: harness.states.get_subscription_count() > 0, what="the controller")
+    harness.ask_newcomer(0, 0.5, joint=name)
+    harness.wait(lambda: "active: joint" in process.log.read_text(), what="its line")
+    lines = process.log.read_text().splitlines()
+    assert all(re.match(r"\[(INFO|WARN)\]", line) for line in lines)
+    assert all(line.isprintable() for line in lines)

@@ -33,7 +33,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, NoReturn, TypeVar
@@ -67,7 +67,7 @@ from hpid_ros.nodes.core.parameters import (
     require_known,
 )
 from hpid_ros.nodes.core.process import end, end_in_time, end_with_the_launch, warn_if_unprotected
-from hpid_ros.nodes.core.rclpy_internals import given_parameters
+from hpid_ros.nodes.core.rclpy_internals import LineLogger, given_parameters
 from hpid_ros.nodes.core.services import Answers, guard_services
 from hpid_ros.nodes.core.status import flush_events, note_failure
 
@@ -156,6 +156,14 @@ class ClosingNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.guard(lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0))
+
+    @cached_property
+    def _lines(self) -> LineLogger:
+        return LineLogger(super().get_logger().name)
+
+    def get_logger(self) -> LineLogger:
+        """Return the node's logger, each message of which is one line."""
+        return self._lines
 
     def guard(self, fault: Callable[[str], None]) -> None:
         """Guard the services that are there; for nodes that rclpy builds in a way of its own."""

@@ -8,10 +8,13 @@ input that cannot be used.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
 from rclpy import event_handler
+from rclpy.impl import rcutils_logger
+from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -20,6 +23,21 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.text import shown
+
+# What is throttled is told apart by who calls the logger: that is not this file.
+getattr(rcutils_logger, "_internal_callers", []).append(os.path.realpath(__file__))
+
+
+class LineLogger(rcutils_logger.RcutilsLogger):
+    """Logs one line a message: a joint's or a node's name may hold line breaks and escapes.
+
+    Uses ``rcutils_logger._internal_callers``, to which rclpy lets others add their files.
+    """
+
+    def log(self, message: object, severity: LoggingSeverity, **filters: Any) -> bool:
+        return bool(super().log(shown(str(message)), severity, **filters))
+
 
 KNOWN_VERSIONS = "7.1 (ROS 2 Jazzy)"
 
