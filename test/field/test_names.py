@@ -9,6 +9,7 @@ import pytest
 import rclpy
 import yaml
 from harness.examples import examples
+from harness.fork_server import run_node
 from harness.goals import ACTION, SUCCEEDED, Client, Joints, goal_of, needs_control_msgs
 from hypothesis import given
 from hypothesis import strategies as st
@@ -102,6 +103,14 @@ def test_a_joint_called_y_is_told_how_to_write_it(harness):
     assert run.returncode == 2
     assert "booleans to ROS" in line
     assert """write '"y"'""" in line
+
+
+def test_a_list_of_x_and_y_is_told_what_is_the_matter(harness, tmp_path):
+    file = tmp_path / "params.yaml"
+    file.write_text("/**: {ros__parameters: {joints: [x, y]}}\n")
+    ended = run_node("joint_controllers", ["--params-file", str(file)])
+    assert ended.returncode == 2
+    assert "without quotes y, n, yes, no, on and off are booleans to ROS" in ended.stderr
 
 
 def write_robot(folder):

@@ -650,6 +650,8 @@ def _reason(error: InvalidParameterValueException) -> str:
 def _ros_error(error: Exception) -> str:
     """Return one line for an error of rcl, without the places in its source."""
     line = " ".join(re.sub(r"\s*, at /\S+:\d+", "", str(error)).split())
+    if "Sequence should be of same type" in line:
+        line += "; without quotes y, n, yes, no, on and off are booleans to ROS"
     return f"unknown ROS arguments {line}" if line.startswith("[") else line
 
 
