@@ -25,7 +25,7 @@ _OTHERWISE = frozenset(
 """Words that some parser takes for something else, in whatever case."""
 
 
-class _Writer(yaml.SafeDumper):
+class _Writer(yaml.SafeDumper):  # type: ignore[misc]
     def ignore_aliases(self, data: Any) -> bool:
         """Write what occurs twice twice: rcl knows no aliases."""
         return True
