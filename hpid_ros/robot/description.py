@@ -301,31 +301,31 @@ def _mimic_contradictions(
     robot: ElementTree.Element, joints: Mapping[str, JointDescription]
 ) -> Iterator[Contradiction]:
     """Yield joints that follow nothing, themselves, or each other in a circle."""
-    known = [element.get("name", "") for element in robot.findall("joint")]
+    known = {element.get("name", ""): element.find("mimic") for element in robot.findall("joint")}
     leader = {
-        element.get("name", ""): mimic.get("joint", "")
-        for element in robot.findall("joint")
-        if (mimic := element.find("mimic")) is not None
+        name: mimic.get("joint", "")
+        for name, mimic in known.items()
+        if mimic is not None and name in joints
     }
-    leader = {name: leader[name] for name in joints if name in leader}
-    told: set[str] = set()
-    for name, other in leader.items():
-        if other not in known:
-            text = f"joint {name!r}: it mimics {unknown_name('joint', other, known)}"
-            yield Contradiction((name,), text)
-            continue
-        if name in told:
-            continue
-        row, following = {name: None}, other
-        while following and following not in row and following not in told:
-            row[following] = None
-            following = leader.get(following, "")
-        told.update(row)
-        if following in row:
-            row = dict.fromkeys(list(row)[list(row).index(following) :])
-            circle = " -> ".join([*row, following])
-            text = f"joint {following!r}: it mimics itself: {circle}"
-            yield Contradiction(tuple(row), text)
+    lost = [name for name, other in leader.items() if other not in known]
+    for number, name in enumerate(lost):
+        other = leader[name]
+        is_shown = number < _SHOWN  # to look for the nearest name takes as long as there are names
+        found = unknown_name("joint", other, known) if is_shown else f"unknown joint {other!r}"
+        yield Contradiction((name,), f"joint {name!r}: it mimics {found}")
+    done = set(lost)
+    for first in leader:
+        row: dict[str, None] = {}  # of joints, each of which follows the next
+        name = first
+        while name in leader and name not in done and name not in row:
+            row[name] = None
+            name = leader[name]
+        if name in row:
+            circle = [*row][[*row].index(name) :]
+            shown = " -> ".join([*circle[:_SHOWN], *(["..."] if circle[_SHOWN:] else []), name])
+            text = f"joint {name!r}: it mimics itself: {shown}"
+            yield Contradiction(tuple(circle), text)
+        done.update(row)
 
 
 LARGEST_FILE = 16 << 20
