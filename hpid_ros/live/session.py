@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.base.text import bounded
 from hpid_ros.base.yaml_files import parse_yaml
 from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.control.controller_files import given_parameters
@@ -333,10 +334,13 @@ class LiveSession:
         return self.graph.controllers()
 
     def label(self, node: str) -> str:
-        """Return what people call a controller: its joint, with the namespace where it has one."""
+        """Return what people call a controller: its joint, with the namespace where it has one.
+
+        In one line, however its joint is named.
+        """
         seen = self.controllers[node]
         space = seen.namespace.strip("/")
-        return f"{space}/{seen.joint}" if space else seen.joint
+        return name_shown(f"{space}/{seen.joint}" if space else seen.joint)
 
     def history(self, node: str) -> JointHistory:
         """Return the samples of a controller's joint."""
@@ -379,7 +383,7 @@ class LiveSession:
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
         self.said += 1
-        self.log.append(LogLine(time.time(), text, is_bad))
+        self.log.append(LogLine(time.time(), bounded(text), is_bad))
 
     # What mathematics says
 
@@ -556,6 +560,14 @@ class LiveSession:
         nodes = self.tuning.stage_loops(given_parameters(content, name))
         self.say(f"{name}: staged for {', '.join(map(self.label, nodes))}")
         return nodes
+
+
+_LONGEST_NAME = 60  # characters
+
+
+def name_shown(name: str) -> str:
+    """Return a name that somebody else chose as it is shown: in one line, and not a long one."""
+    return bounded(name, _LONGEST_NAME)
 
 
 def shown(values: Values) -> str:

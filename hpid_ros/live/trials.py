@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hpid_ros.base.errors import HpidError, RunError, SettingError
+from hpid_ros.base.text import bounded
 from hpid_ros.control.settings import Value
 from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.live.motion import HELD_WITHIN, RELEASED, Ending, HeldMotion, bounds_of, chosen
@@ -130,6 +131,7 @@ def _rests_at(series: JointSeries) -> float:
 _LOOK_PERIOD = 0.05  # [s]
 _CERTIFIED_WITHIN, _ASKED_EVERY = 15.0, 1.5  # [s]
 _LARGEST_TIME = 60.0  # [s]
+_LONGEST_FILE_NAME = 60  # characters of a snapshot's name
 _GONE_FOR = 10.0  # [s] until a trial ends whose page is gone
 _CANCELLED = "cancelled"
 _BY_STOP = "ended by Stop: activate the joints, then get ready again"
@@ -382,7 +384,7 @@ class Trials:
             self._require_wanted()
             planned, controllers, graph = self._planned(nodes, wish)
             label = variant.label if attempt == 1 else f"{variant.label}, attempt {attempt}"
-            name = "_".join(re.findall(r"\w+", label)) or "run"
+            name = "_".join(re.findall(r"\w+", label))[:_LONGEST_FILE_NAME] or "run"
             bag = self._folder / f"{number + 1}_{name}"
             motion = HeldMotion(planned, controllers, graph, bag, self._within)
             ending = await self._ending(motion, nodes, label, planned.duration)
@@ -482,7 +484,7 @@ class Trials:
         return ending.reason
 
     def _say(self, text: str, *, is_bad: bool = False) -> None:
-        self.said, self.is_bad = text, is_bad
+        self.said, self.is_bad = bounded(text), is_bad
         self._session.say(f"trial: {text}", is_bad=is_bad)
 
     def _forget(self) -> None:

@@ -16,7 +16,7 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.base.records import ParameterSpec
 from hpid_ros.control.settings import LAWS, LOOP_PARAMETERS
 from hpid_ros.live.advice import Advice
-from hpid_ros.live.page.parts import Viewer, button, chart, chart_options, curve, mark
+from hpid_ros.live.page.parts import Viewer, button, chart, chart_options, curve, labelled, mark
 from hpid_ros.live.page.trial_panel import TrialPanel
 from hpid_ros.live.session import BANDWIDTH, GAINS, SLIDERS, Range, shown, slider_range
 
@@ -58,9 +58,10 @@ class Knob:
                         self._certified = ui.element("div").classes("interval-certified")
                         ui.element("div").classes("interval-zero")
                 self._slider = ui.slider(min=0, max=_STEPS, value=0, step=1)
-                self._slider.props(f'aria-label="{text}"')
+                labelled(self._slider, text)
             self._field = ui.number(format="%.5g")
-            self._field.props(f'dense outlined debounce={_TYPED_FOR} aria-label="{text}"')
+            labelled(self._field.props("dense outlined"), text)
+            self._field.props["debounce"] = _TYPED_FOR
             self._now = ui.label().classes("knob-now")
         # What a person does; not what refresh sets.
         self._slider.on("update:model-value", self._on_slide, throttle=_SLID_FOR)
@@ -176,18 +177,16 @@ class AllParameters:
         self.refresh()
 
     def _field(self, spec: ParameterSpec) -> Any:
-        props = f'dense outlined options-dense aria-label="{spec.name}"'
         with ui.element("div").classes("field") as row:
             label = ui.label(spec.name).classes("field-name")
             label.tooltip(spec.description)
             if isinstance(spec.default, bool):
                 field: Any = ui.checkbox()
-                props = f'dense aria-label="{spec.name}"'
             elif spec.choices:
                 field = ui.select(list(spec.choices))
             else:
                 field = ui.number().props("debounce=400")  # a format would round what is left
-            field.props(props)
+            labelled(field.props("dense outlined options-dense"), spec.name)
             field.on_value_change(lambda event: self._stage(spec.name, event.value))
         field.hpid_row = row
         return field

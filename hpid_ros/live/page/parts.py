@@ -57,7 +57,18 @@ class Viewer:
 
 
 def button(text: str, act: Callable[..., Awaitable[None] | None], look: str = "flat") -> Any:
-    return ui.button(text, on_click=act).props(f"no-caps {look}")
+    return ui.button(text, on_click=act).props("no-caps").props(look)
+
+
+def labelled(element: Any, label: str) -> Any:
+    """Give an element the name that screen readers say, and return it.
+
+    As data: ``props()`` parses a text, in which the name of a joint could set any property, and
+    NiceGUI runs the value of one that begins with a colon as JavaScript.
+    """
+    if element.props.get("aria-label") != label:
+        element.props["aria-label"] = label
+    return element
 
 
 def mark(element: Any, name: str, *, is_on: bool) -> None:
@@ -78,7 +89,7 @@ def table(heads: Sequence[str], tips: dict[str, str]) -> tuple[Any, Any]:
 
 
 def chart(label: str, kind: str) -> Any:
-    return ui.echart(chart_options([])).classes(kind).props(f'role="img" aria-label="{label}"')
+    return labelled(ui.echart(chart_options([])).classes(kind).props("role=img"), label)
 
 
 def chart_options(

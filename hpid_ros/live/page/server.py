@@ -1,12 +1,14 @@
-"""The page's server: who may see it, a thread beside the nodes, a stream of frames.
+"""The page's server: who may see it, a thread next to the nodes, a stream of frames.
 
 The page moves robots. People open it by an address with a token; the browser then keeps the
 token as a cookie of this host, with all its ports. Another page in the same browser has neither
 the token nor this origin, and a name that somebody has pointed at this address (DNS rebinding) is
-no host of it.
+no host of it. Who only connects, or sends no token, holds a place for seconds, and keeps nobody
+out: a page that is open can always stop the robot.
 
 Sources: OWASP Cheat Sheet Series, "Cross-Site Request Forgery Prevention" (origin checks, SameSite
-cookies) and "WebSocket Security"; RFC 6455, section 10.2.
+cookies), "WebSocket Security" and "Content Security Policy"; RFC 6455, section 10.2; uvicorn's
+issue 157 (it has no deadline of its own for the headers of a request).
 """
 
 from __future__ import annotations
@@ -17,21 +19,27 @@ import hmac
 import json
 import math
 import re
+import resource
 import secrets
 import socket
 import threading
 import time
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, quote, urlencode
 
 import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+from jinja2 import BaseLoader, Environment
 from nicegui import Client, ui
 from nicegui import app as pages
+from nicegui.client import templates
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from uvicorn.protocols.utils import get_remote_addr
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.live.advice import AdviceClient
@@ -58,13 +66,41 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 _HEADERS = {
     "x-frame-options": "DENY",
-    "content-security-policy": "frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
     "referrer-policy": "no-referrer",
     "x-content-type-options": "nosniff",
     "cross-origin-resource-policy": "same-origin",
     "cross-origin-opener-policy": "same-origin",
 }
 _NOT_KEPT = {"cache-control": "no-store"}
+_POLICY = (
+    "default-src 'none'; "
+    # NiceGUI evaluates what its server sends, and Vue compiles templates: not without unsafe-eval.
+    "script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data:; font-src 'self' data:; "
+    "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'"
+)
+_NONCE = "content_policy_nonce"  # in a request's scope, and in NiceGUI's template
+_NONCE_BYTES = 16
+
+
+class _NonceLoader(BaseLoader):
+    """Gives the scripts of NiceGUI's own templates a nonce, and none that is in their data."""
+
+    def __init__(self, loader: BaseLoader) -> None:
+        self._loader = loader
+
+    def get_source(self, environment: Environment, template: str) -> Any:
+        source, *rest = self._loader.get_source(environment, template)
+        return source.replace("<script", f'<script nonce="{{{{ {_NONCE} }}}}"'), *rest
+
+
+@cache
+def _give_nonces() -> None:
+    """Have NiceGUI write pages whose inline scripts the policy allows."""
+    loader = templates.env.loader
+    assert loader is not None
+    templates.env.loader = _NonceLoader(loader)
+    templates.context_processors.append(lambda request: {_NONCE: request.scope.get(_NONCE, "")})
 
 
 def require_token(token: str) -> None:
@@ -75,13 +111,82 @@ def require_token(token: str) -> None:
         )
 
 
+_LONGEST_HEADERS = 5.0  # [s] from a connection to a request with the token
+_MOST_NEWCOMERS = 256  # connections without one
+_ACCEPTED_AT_ONCE = 32  # so that one is heard before so many newer ones take its place
+_QUEUE = 2048  # connections that the kernel keeps until they are accepted
+_DESCRIPTORS = 4096  # that this process may have open, where it may choose
+
+
+class Newcomers:
+    """Connections that have not sent the token: few, and not for long.
+
+    When one more comes than there may be, the oldest is dropped: the one that says nothing.
+    """
+
+    def __init__(self, most: int = _MOST_NEWCOMERS, within: float = _LONGEST_HEADERS) -> None:
+        self._most, self._within = most, within
+        self._waiting: dict[object, tuple[asyncio.Transport, asyncio.TimerHandle]] = {}
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def enter(self, transport: asyncio.Transport) -> None:
+        """Take note of a connection, which has some time from now on."""
+        peer = get_remote_addr(transport)
+        self.leave(peer)  # a closed one, which had this port
+        timer = asyncio.get_running_loop().call_later(self._within, self._drop, peer)
+        self._waiting[peer] = transport, timer
+        while len(self._waiting) > self._most:
+            self._drop(next(iter(self._waiting)))
+
+    def leave(self, peer: object) -> None:
+        """Forget a connection: it has closed, or has sent the token and may stay."""
+        if peer in self._waiting:
+            self._waiting.pop(peer)[1].cancel()
+
+    def _drop(self, peer: object) -> None:
+        transport = self._waiting[peer][0]
+        self.leave(peer)
+        transport.abort()
+
+    def protocol(self) -> type[asyncio.Protocol]:
+        """Return uvicorn's protocol, whose connections are noted here."""
+        newcomers = self
+
+        class Noted(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+            def connection_made(self, transport: asyncio.Transport) -> None:
+                super().connection_made(transport)
+                newcomers.enter(transport)
+
+            def connection_lost(self, error: Exception | None) -> None:
+                newcomers.leave(self.client)
+                super().connection_lost(error)
+
+        return Noted
+
+
+def _raise_descriptors() -> None:
+    """Let this process have more files and connections open, where it may."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _DESCRIPTORS if hard == resource.RLIM_INFINITY else min(_DESCRIPTORS, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
 class Guard:
     """Lets requests through to an application, or refuses them."""
 
     def __init__(
-        self, app: Callable[..., Any], token: str, port: int, hosts: tuple[str, ...] = LOOPBACK
+        self,
+        app: Callable[..., Any],
+        token: str,
+        port: int,
+        hosts: tuple[str, ...] = LOOPBACK,
+        newcomers: Newcomers | None = None,
     ) -> None:
         self._app, self._token, self._port, self._hosts = app, token, port, hosts
+        self._newcomers = newcomers or Newcomers()
         self._cookie = f"hpid_live_{port}"
 
     def judge(
@@ -125,17 +230,22 @@ class Guard:
             query,
             headers.get("cookie", ""),
         )
+        if status in (200, 303):
+            self._newcomers.leave(scope.get("client"))
+        nonce = secrets.token_urlsafe(_NONCE_BYTES)
+        own = {**_HEADERS, "content-security-policy": _POLICY.format(nonce=nonce)}
         if status == 200:
-            await self._app(scope, receive, _hardened(scope["path"], send))
+            scope[_NONCE] = nonce
+            await self._app(scope, receive, _hardened(scope["path"], own, send))
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": reason})
         else:
-            reply = {**_HEADERS, **_NOT_KEPT}
+            reply = {**own, **_NOT_KEPT}
             if status == 303:
                 left = urlencode([each for each in parse_qsl(query) if each[0] != "token"])
-                own = "/" + quote(scope["path"].lstrip("/"))  # two slashes lead to another host
-                reply["location"] = own + (f"?{left}" if left else "")
+                path = "/" + quote(scope["path"].lstrip("/"))  # two slashes lead to another host
+                reply["location"] = path + (f"?{left}" if left else "")
                 reply["set-cookie"] = (
                     f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
                 )
@@ -143,11 +253,11 @@ class Guard:
             await answer(scope, receive, send)
 
 
-def _hardened(path: str, send: Send) -> Send:
+def _hardened(path: str, own: Mapping[str, str], send: Send) -> Send:
     async def sent(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
-            headers.update(_HEADERS)
+            headers.update(own)
             if not path.startswith("/_nicegui"):
                 headers.update(_NOT_KEPT)
         await send(message)
@@ -182,6 +292,8 @@ class PageServer:
         session = LiveSession(graph, self._advice)
         self.trials = trials = Trials(session, button_timeout)
         api = _api(trials, Frames(session, trials, 1.0 / rate))
+        _give_nonces()
+        _raise_descriptors()
         pages.add_static_files("/assets", str(_ASSETS))
         ui.run_with(
             api,
@@ -193,10 +305,17 @@ class PageServer:
             tailwind=False,
             reconnect_timeout=_COMES_BACK_WITHIN,
         )
-        guard = Guard(api, token, port, LOOPBACK if is_own else ())
+        newcomers = Newcomers()
+        guard = Guard(api, token, port, LOOPBACK if is_own else (), newcomers)
         self._server = uvicorn.Server(
             uvicorn.Config(
-                guard, log_level="warning", access_log=False, timeout_graceful_shutdown=1
+                guard,
+                http=newcomers.protocol(),
+                backlog=_ACCEPTED_AT_ONCE,
+                proxy_headers=False,  # with them anybody here is anybody
+                log_level="warning",
+                access_log=False,
+                timeout_graceful_shutdown=1,
             )
         )
         name = f"[{address}]" if ":" in address else address
@@ -211,6 +330,7 @@ class PageServer:
             self._thread.join(_LOOK_PERIOD)
         if not self._server.started:
             raise SettingError(f"the page's server did not start{self._failure}")
+        listener.listen(_QUEUE)  # asyncio accepts as many at once as it was to let wait
 
     def _run(self, listener: socket.socket) -> None:
         try:

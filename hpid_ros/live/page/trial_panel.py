@@ -11,7 +11,17 @@ from nicegui import background_tasks, ui
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.live.history import extremes
-from hpid_ros.live.page.parts import COLOURS, Viewer, button, chart, chart_options, curve, table
+from hpid_ros.live.page.parts import (
+    COLOURS,
+    Viewer,
+    button,
+    chart,
+    chart_options,
+    curve,
+    labelled,
+    table,
+)
+from hpid_ros.live.session import name_shown
 from hpid_ros.live.trials import KINDS, MotionWish, Stage, TrialResult, Variant
 from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import PAPER
@@ -75,8 +85,8 @@ class TrialPanel:
         # Before it is green it takes a press, too, so that one that is too early has an answer.
         is_ready = stage in (Stage.READY, Stage.MOVING)
         self._hold.set_enabled(may and stage not in (Stage.IDLE, Stage.ENDING))
-        colour = "positive" if is_ready else "grey"
-        self._hold.props(f"color={colour} aria-disabled={str(not is_ready).lower()}")
+        self._hold.props("color=positive" if is_ready else "color=grey")
+        self._hold.props("aria-disabled=false" if is_ready else "aria-disabled=true")
         self._hold.set_text(self._hold_text())
         self._cancel.set_enabled(not is_idle and stage is not Stage.ENDING)
         self._said.set_text(self._trials.said)
@@ -201,15 +211,13 @@ def _show_table(result: TrialResult, labels: Sequence[str]) -> None:
 
 
 def _number(label: str, value: float) -> Any:
-    return ui.number(label, value=value, format="%.4g").props(
-        f'dense outlined debounce=400 aria-label="{label}"'
-    )
+    field = ui.number(label, value=value, format="%.4g")
+    return labelled(field.props("dense outlined debounce=400"), label)
 
 
 def _select(label: str, options: list[str], value: str) -> Any:
-    return ui.select(options, value=value, label=label).props(
-        f'dense outlined options-dense aria-label="{label}"'
-    )
+    field = ui.select(options, value=value, label=label)
+    return labelled(field.props("dense outlined options-dense"), label)
 
 
 def _plan_text(planned: ExcitationPlan) -> str:
@@ -218,14 +226,14 @@ def _plan_text(planned: ExcitationPlan) -> str:
         unit, peaks = each.bounds.unit, each.peaks
         notes = f" ({'; '.join(each.notes)})" if each.notes else ""
         text = f"{peaks.position:.3g} {unit}, at most {peaks.velocity:.3g} {unit}/s{notes}"
-        parts.setdefault(text, []).append(each.bounds.joint)
+        parts.setdefault(text, []).append(name_shown(each.bounds.joint))
     lines = "; ".join(f"{', '.join(joints)}: {text}" for text, joints in parts.items())
     return f"{planned.duration:.1f} s from where the joints stand. {lines}"
 
 
 def _plan_curves(planned: ExcitationPlan) -> list[tuple[str, list[list[float]]]]:
     return [
-        (each.bounds.joint, np.column_stack([planned.times, positions]).tolist())
+        (name_shown(each.bounds.joint), np.column_stack([planned.times, positions]).tolist())
         for each, positions in zip(planned.joints, planned.positions.T, strict=True)
     ]
 
@@ -237,7 +245,7 @@ def _error_curves(result: TrialResult) -> list[tuple[str, list[list[float]]]]:
             continue
         for each in run.series.joints:
             if each.has_reference:
-                label = f"{variant.label}, error of {each.joint}"
+                label = f"{variant.label}, error of {name_shown(each.joint)}"
                 curves.append((label, _decimated(each.time, each.error)))
     return curves
 

@@ -14,7 +14,7 @@ from nicegui import ui
 from hpid_ros.live.controllers import SILENT_AFTER, Controller
 from hpid_ros.live.history import RisingCount
 from hpid_ros.live.page.panel import TuningPanel
-from hpid_ros.live.page.parts import COLOURS, Viewer, button, mark, table
+from hpid_ros.live.page.parts import COLOURS, Viewer, button, labelled, mark, table
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import Stage, Trials
 
@@ -93,7 +93,7 @@ class _Row:
         with ui.element("tr") as self._row:
             with ui.element("td"):
                 self.box = ui.checkbox(value=number == 0)
-                self.box.props(f'dense size="sm" aria-label="choose {name}"')
+                labelled(self.box.props("dense size=sm"), f"choose {name}")
             with ui.element("td").classes("joint-name"):
                 ui.element("span").classes("swatch").style(f"background: {self.colour}")
                 self.name = ui.label(name).tooltip(f"{node}; a click chooses it alone")
@@ -127,7 +127,7 @@ class _Row:
         is_active = seen.lifecycle == "active"
         act = "deactivate" if is_active else "activate"
         self._switch.set_text(act)
-        self._switch.props(f'aria-label="{act} {self._session.label(self._node)}"')
+        labelled(self._switch, f"{act} {self._session.label(self._node)}")
         self._switch.set_enabled(seen.is_here and seen.lifecycle in ("active", "inactive"))
 
     async def _transit(self) -> None:
@@ -235,8 +235,8 @@ class PageView:
         with ui.element("div").classes("bar"):
             ui.label("Joints").classes("heading")
             for text, label, is_all in (("all", "all joints", True), ("none", "no joint", False)):
-                look = f'flat dense size=sm aria-label="choose {label}"'
-                button(text, lambda is_all=is_all: self._table.choose(is_all=is_all), look)
+                act = partial(self._choose, is_all)
+                labelled(button(text, act, "flat dense size=sm"), f"choose {label}")
             ui.space()
             self._window = ui.select(
                 {each: f"{each} s" for each in _WINDOWS}, value=10, on_change=self._show
@@ -250,6 +250,9 @@ class PageView:
         window = self._window
         self._table = JointTable(self._viewer, self._show, lambda: float(window.value or 10.0))
 
+    def _choose(self, is_all: bool) -> None:
+        self._table.choose(is_all=is_all)
+
     def _build_charts(self) -> None:
         names = {
             "position": "position and reference",
@@ -259,9 +262,9 @@ class PageView:
         }
         with ui.element("div").classes("charts"):
             for name, text in names.items():
-                ui.element("div").classes("chart").props(
-                    f'data-chart="{name}" role="img" aria-label="{text} over time"'
-                )
+                place = ui.element("div").classes("chart").props("role=img")
+                place.props["data-chart"] = name
+                labelled(place, f"{text} over time")
 
     def _take_control(self) -> None:
         self._session.control_lock.take(self._viewer.page)

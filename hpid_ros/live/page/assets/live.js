@@ -287,6 +287,7 @@ class LivePage {
         grid: { left: 58, right: 12, top: 28, bottom: 24 },
         tooltip: {
           trigger: "axis",
+          confine: true,
           valueFormatter: (value) => (value === undefined ? "" : Number(value).toPrecision(4)),
         },
         xAxis: {
