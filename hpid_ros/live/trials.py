@@ -183,6 +183,7 @@ class Trials:
         self._call = ""  # what the button is for, once the motion is ready
         self._end = ""  # why the trial is to end
         self._here_at = self._ends_at = 0.0
+        self._stopping: asyncio.Task[bool] | None = None
         self.number = self.count = 0
 
     @property
@@ -267,7 +268,9 @@ class Trials:
     async def stop(self) -> bool:
         """End what is under way, and deactivate every controller that is shown."""
         self.cancel(_BY_STOP)
-        return await self._session.stop()
+        if self._stopping is None or self._stopping.done():
+            self._stopping = asyncio.create_task(self._session.stop())
+        return await asyncio.shield(self._stopping)  # one that is asked for twice is one
 
     def unfinished(self) -> list[str]:
         """Return the joints whose controllers have what a trial that is under way has set."""

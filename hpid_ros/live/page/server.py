@@ -33,7 +33,7 @@ from urllib.parse import parse_qsl, quote, urlencode
 import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from jinja2 import BaseLoader, Environment
-from nicegui import Client, ui
+from nicegui import Client, background_tasks, ui
 from nicegui import app as pages
 from nicegui.client import templates
 from starlette.datastructures import Headers, MutableHeaders
@@ -128,9 +128,6 @@ class Newcomers:
         self._most, self._within = most, within
         self._waiting: dict[object, tuple[asyncio.Transport, asyncio.TimerHandle]] = {}
 
-    def __len__(self) -> int:
-        return len(self._waiting)
-
     def enter(self, transport: asyncio.Transport) -> None:
         """Take note of a connection, which has some time from now on."""
         peer = get_remote_addr(transport)
@@ -186,7 +183,7 @@ class Guard:
         newcomers: Newcomers | None = None,
     ) -> None:
         self._app, self._token, self._port, self._hosts = app, token, port, hosts
-        self._newcomers = newcomers or Newcomers()
+        self._newcomers = Newcomers() if newcomers is None else newcomers
         self._cookie = f"hpid_live_{port}"
 
     def judge(
@@ -435,7 +432,7 @@ class Frames:
         sending = asyncio.create_task(self._send(socket, queue))
         try:
             while True:
-                self._take(page, await socket.receive_text())
+                self._take(page, await socket.receive_text(), queue)
         except (WebSocketDisconnect, RuntimeError, KeyError):
             pass
         finally:
@@ -444,11 +441,18 @@ class Frames:
             self._trials.release(page)
             self._session.control_lock.leave(page)
 
-    def _take(self, page: str, text: str) -> None:
-        if text == "hold" and self._session.control_lock.holder == page:
+    def _take(self, page: str, text: str, answers: asyncio.Queue[str]) -> None:
+        if text == "stop":
+            background_tasks.create(self._stop(answers))
+        elif text == "hold" and self._session.control_lock.holder == page:
             self._trials.press(page)
         elif text == "release":
             self._trials.release(page)
+
+    async def _stop(self, answers: asyncio.Queue[str]) -> None:
+        is_stopped = await self._trials.stop()
+        with contextlib.suppress(asyncio.QueueFull):
+            answers.put_nowait(json.dumps({"stopped": is_stopped}))
 
     async def _send(self, socket: WebSocket, queue: asyncio.Queue[str]) -> None:
         while True:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.page.server import Guard, PageServer, require_token
+from hpid_ros.live.page.server import Guard, Newcomers, PageServer, require_token
 
 TOKEN = "correct-horse-battery"
 HOST = "127.0.0.1:8080"
@@ -135,3 +135,87 @@ def test_a_socket_of_another_page_is_closed_before_it_is_open():
     headers = [(b"host", HOST.encode()), (b"cookie", COOKIE.encode()), (b"origin", b"http://x")]
     kinds, _, is_passed = answered("/frames", type="websocket", headers=headers)
     assert (kinds, is_passed) == (["websocket.close"], False)
+
+
+class Transport:
+    """A connection from a port, which may be dropped."""
+
+    def __init__(self, port):
+        self.port, self.is_dropped = port, False
+
+    def get_extra_info(self, name):
+        return ("127.0.0.1", self.port) if name == "peername" else None
+
+    def abort(self):
+        self.is_dropped = True
+
+
+def test_connections_without_the_token_are_few_and_the_oldest_goes_first():
+    async def connect():
+        newcomers, made = Newcomers(most=2, within=60.0), [Transport(n) for n in range(4)]
+        for each in made[:2]:
+            newcomers.enter(each)
+        newcomers.leave(("127.0.0.1", 0))  # it has sent the token
+        for each in made[2:]:
+            newcomers.enter(each)
+        return [each.is_dropped for each in made]
+
+    assert asyncio.run(connect()) == [False, True, False, False]
+
+
+def test_a_connection_that_sends_no_token_is_dropped_in_time_and_its_port_is_not_remembered():
+    async def wait():
+        newcomers = Newcomers(most=9, within=0.05)
+        slow, known, again = Transport(1), Transport(2), Transport(2)
+        for each in (slow, known):
+            newcomers.enter(each)
+        newcomers.leave(("127.0.0.1", 2))
+        newcomers.enter(again)  # of another one, later
+        newcomers.leave(("127.0.0.1", 2))
+        while not slow.is_dropped:
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.1)
+        return known.is_dropped, again.is_dropped
+
+    assert asyncio.run(wait()) == (False, False)
+
+
+@pytest.mark.parametrize(
+    ("query", "headers", "is_known"),
+    [
+        (f"token={TOKEN}", [], True),
+        ("", [(b"cookie", COOKIE.encode())], True),
+        ("token=wrong", [], False),
+        ("", [], False),
+    ],
+)
+def test_who_has_sent_the_token_may_stay_connected(query, headers, is_known):
+    peer, left = ("127.0.0.1", 4711), []
+    newcomers = Newcomers()
+    newcomers.leave = left.append
+    scope = {
+        "type": "http",
+        "method": "GET",
+        "path": "/",
+        "headers": [(b"host", HOST.encode()), *headers],
+        "query_string": query.encode(),
+        "client": peer,
+    }
+
+    async def app(scope, receive, send):
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    async def send(message):
+        pass
+
+    asyncio.run(Guard(app, TOKEN, 8080, newcomers=newcomers)(scope, None, send))
+    assert left == [peer] * is_known
+
+
+def test_each_answer_has_a_policy_of_its_own_without_inline_script():
+    headers = [(b"host", HOST.encode()), (b"cookie", COOKIE.encode())]
+    policies = [answered(headers=headers)[1][b"content-security-policy"] for _ in range(2)]
+    assert policies[0] != policies[1]  # a nonce is used once
+    scripts = policies[0].decode().partition("script-src ")[2].partition(";")[0]
+    assert "'unsafe-inline'" not in scripts
+    assert "'nonce-" in scripts

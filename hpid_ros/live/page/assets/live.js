@@ -4,6 +4,7 @@ import { Turns } from "./turns.js";
 
 const LOST_AFTER = 1500; // [ms] without a frame
 const HELD_EVERY = 100; // [ms]
+const STOPS_WITHIN = 300; // [ms] by the socket that is open; then by a request as well
 
 const CHARTS = [
   {
@@ -42,6 +43,7 @@ class LivePage {
     this.held = null;
     this.frames = 0;
     this.isTaken = false;
+    this.onStopped = null;
   }
 
   start(page) {
@@ -71,15 +73,23 @@ class LivePage {
   connect() {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     this.socket = new WebSocket(`${scheme}://${location.host}/frames?page=${this.page}`);
-    this.socket.onmessage = (message) => this.take(JSON.parse(message.data));
+    this.socket.onmessage = (message) => this.hear(JSON.parse(message.data));
     this.socket.onclose = () => {
       this.release();
       setTimeout(() => this.connect(), 1000);
     };
   }
 
-  take(frame) {
+  hear(message) {
     this.heard = performance.now();
+    if (message.stopped === undefined) {
+      this.take(message);
+    } else {
+      this.onStopped?.(message.stopped === true);
+    }
+  }
+
+  take(frame) {
     this.frames += 1;
     const isBack = (node) => frame.now[node] < this.curves.now.get(node);
     this.marks = this.marks.filter((mark) => !isBack(mark.node)); // they are of another time
@@ -102,14 +112,33 @@ class LivePage {
   async stop() {
     this.release();
     document.body.classList.add("stopping");
-    try {
-      const answer = await fetch("/stop", { method: "POST" });
-      const said = await answer.json();
-      document.body.classList.toggle("not-stopped", said.stopped !== true);
-    } catch {
-      document.body.classList.add("not-stopped");
-    }
+    const isStopped = await this.stopped();
+    document.body.classList.toggle("not-stopped", !isStopped);
     document.body.classList.remove("stopping");
+  }
+
+  /** Ask on the socket that is open, which needs no new connection; if in vain, by a request. */
+  stopped() {
+    return new Promise((resolve) => {
+      const ask = async () => {
+        try {
+          const answer = await fetch("/stop", { method: "POST" });
+          resolve((await answer.json()).stopped === true);
+        } catch {
+          resolve(false);
+        }
+      };
+      if (this.socket?.readyState !== WebSocket.OPEN) {
+        ask();
+        return;
+      }
+      const timer = setTimeout(ask, STOPS_WITHIN);
+      this.onStopped = (isStopped) => {
+        clearTimeout(timer);
+        resolve(isStopped);
+      };
+      this.socket.send("stop");
+    });
   }
 
   holdBy(event) {
