@@ -20,6 +20,7 @@ from hpid_ros.nodes.core.middleware import (
     LATCHED,
     NEWEST_REFERENCE,
     NEWEST_STATES,
+    RARE,
     full_name,
     overridable,
     steady_timer,
@@ -40,7 +41,6 @@ from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
 from hpid_ros.nodes.parts.goals import GroupTrajectory
 from hpid_ros.nodes.parts.references import (
     Decoded,
-    TrajectorySubscriptions,
     column_of,
     reference_decoder,
 )
@@ -73,7 +73,12 @@ class GroupTopics:
         self._publisher = node.create_publisher(
             JointTrajectory, _TOPIC, LATCHED, qos_overriding_options=overridable()
         )
-        TrajectorySubscriptions(node, self._on_trajectory)
+        # A latched message may be from long before, and comes when its publisher is found: not
+        # what the joints follow now. The volatile subscription gets what is sent from now on;
+        # what it missed, as its sender was found late, shows in the controllers' references.
+        node.create_subscription(
+            JointTrajectory, "joint_trajectory", self._on_trajectory, RARE, raw=True
+        )
         self._reader = GroupReader(tuple(references))
         self._states = [
             subscribe_raw(node, topic, self._on_state, NEWEST_STATES) for topic in state_topics
