@@ -73,6 +73,7 @@ parts = @failed=; \
 	$(PYTEST) $(SPREAD) -m "$(1) and not alone and not closed" $(2) || failed="$$failed main"; \
 	$(PYTEST) -m "$(1) and closed" test/closed $(call with,mark.closed) || failed="$$failed closed"; \
 	$(PYTEST) -m "$(1) and alone and not closed" $(call with,mark.alone) || failed="$$failed alone"; \
+	$(BIN)/python test/harness/browser.py; \
 	test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
 
 test: $(VENV)/.test-installed

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from _pytest.faulthandler import fault_handler_stderr_fd_key
-from harness import control_msgs
+from harness import browser, control_msgs
 from harness.experiments import write_experiment
 from harness.fork_server import ForkedPopen
 from harness.graph import Harness
@@ -31,6 +31,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's & ha
 NodeGroup.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
 FAULT = "fault"  # a property of a test: what is counted, and how many more
+BROWSER_REQUIRED = "HPID_BROWSER_REQUIRED"  # set by CI, which has installed one
 HUNG = 300.0  # [s] beyond a test's timeout: what that could not end waits outside of Python
 TESTS = Path(__file__).parent
 
@@ -119,7 +120,33 @@ def pytest_runtest_protocol(item):
         faulthandler.cancel_dump_traceback_later()
 
 
+def _without_browser(terminalreporter):
+    """Return the reports of tests that were skipped for want of a browser."""
+    reasons = [
+        each.longrepr[2] if isinstance(each.longrepr, tuple) else str(each.longrepr)
+        for each in terminalreporter.getreports("skipped")
+    ]
+    return [each for each in reasons if browser.MISSING in each]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_sessionfinish(session):
+    """Fail where a browser must be there, and tests were skipped without one."""
+    yield
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    is_passed = session.exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+    if is_passed and BROWSER_REQUIRED in os.environ and reporter and _without_browser(reporter):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
 def pytest_terminal_summary(terminalreporter):
+    _tell_faults(terminalreporter)
+    if skipped := _without_browser(terminalreporter):
+        kind = "red" if BROWSER_REQUIRED in os.environ else "yellow"
+        terminalreporter.write_line(f"{len(skipped)} {browser.LINE}", **{kind: True})
+
+
+def _tell_faults(terminalreporter):
     counts = Counter()
     for report in terminalreporter.getreports("passed"):
         for name, value in report.user_properties:
