@@ -221,11 +221,20 @@ def _deceleration(joint: PlannedJoint) -> float:
     return max(joint.peaks.acceleration, quick)
 
 
-def goal_of(plan: ExcitationPlan, standing: Sequence[float]) -> GoalRequest:
-    """Return the goal that carries a plan out, from where the joints' references stand."""
+def goal_of(
+    plan: ExcitationPlan, standing: Sequence[float], ends: Sequence[float] | None = None
+) -> GoalRequest:
+    """Return the goal that carries a plan out, from where the joints' references stand.
+
+    Where it is given where they shall end, they end there: what they are off at the start, the
+    controllers glide over.
+    """
     times_ns = np.rint(plan.times * NANOSECONDS).astype(np.int64)
     none = np.full_like(plan.positions, np.nan)
-    arrays = PointArrays(plan.positions + standing, plan.velocities, plan.accelerations, none)
+    positions = plan.positions + standing
+    if ends is not None:
+        positions = plan.positions - plan.positions[-1] + ends
+    arrays = PointArrays(positions, plan.velocities, plan.accelerations, none)
     return GoalRequest(plan.names, 0, times_ns, arrays)
 
 
@@ -244,6 +253,8 @@ class Exciter(MovingNode):
         super().__init__("hpid_exciter")
         order = self.order
         self._plan = plan = ExcitationPlan.from_mapping(order["plan"])
+        self._ends: list[float] | None = order.get("ends_at")
+        self._began_at: list[float] = []  # references of the joints when they began to move
         within = order["held_within"]
         self._button = None if within is None else DeadMan(float(within))
         watched_within = order.get("watched_within")
@@ -362,9 +373,14 @@ class Exciter(MovingNode):
     def _finish(self, resting: Future) -> None:
         if not resting.done():
             event = "stopped" if self._reason else "done"
-            self.status.send(event, reason=self._reason, is_at_rest=self._is_at_rest())
+            self._tell_end(event, is_at_rest=self._is_at_rest())
             resting.set_result(None)
             self.request_stop(executor.FAILED if self._reason else 0)
+
+    def _tell_end(self, event: str, *, is_at_rest: bool) -> None:
+        self.status.send(
+            event, reason=self._reason, is_at_rest=is_at_rest, began_at=self._began_at
+        )
 
     def _begin_when_ready(self) -> None:
         button = self._button
@@ -376,11 +392,11 @@ class Exciter(MovingNode):
         try:
             standing = [self._standing[joint] for joint in self._plan.names]
             self._require_unmoved(standing)
-            begun = self._follower.begin(goal_of(self._plan, standing))
+            begun = self._follower.begin(goal_of(self._plan, standing, self._ends))
         except HpidError as error:
             self.fail(str(error))
             return
-        self._has_begun = True
+        self._has_begun, self._began_at = True, standing
         self._act(begun)
         self.status.send("begun")
 
@@ -446,7 +462,7 @@ class Exciter(MovingNode):
         self._topics.wait_until_acknowledged()
         if self._resting is None or not self._resting.done():
             is_at_rest = not self._has_begun or self._is_at_rest()
-            self.status.send("stopped", reason=self._reason, is_at_rest=is_at_rest)
+            self._tell_end("stopped", is_at_rest=is_at_rest)
 
 
 def _decoded(raw: bytes) -> Any:

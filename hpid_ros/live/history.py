@@ -21,6 +21,7 @@ LONGEST = 60.0
 MOST_SAMPLES = 200_000
 _REFERENCES_APART, _STATES_APART = 2.0, 0.5  # [s], at most
 _EFFORTS_OVER = 0.5  # [s]
+_LATELY = 0.5  # [s]
 
 
 class Track:
@@ -130,6 +131,31 @@ class JointHistory:
         """Of the newest state in [rad] or [m]; None before the first."""
         rows = self._states.rows
         return float(rows[-1, 1]) if len(rows) else None
+
+    @property
+    def reference(self) -> float | None:
+        """The newest, in [rad] or [m]; None before the first."""
+        rows = self._references.rows
+        return float(rows[-1, 1]) if len(rows) else None
+
+    @property
+    def is_saturated(self) -> bool:
+        """Whether the effort has been at a limit for a while."""
+        efforts = self._efforts.latest(_LATELY)
+        limits = self._settings.effort
+        at_limit = (efforts[:, 1] >= limits.u_clamp_max) | (efforts[:, 1] <= limits.u_clamp_min)
+        return len(efforts) > 1 and self._is_new(efforts) and bool(np.all(at_limit))
+
+    @property
+    def distance(self) -> float:
+        """How far it has been from its reference for a while, in [rad] or [m]; nan if unknown."""
+        errors = self._errors.latest(_LATELY)
+        if len(errors) < 2 or not self._is_new(errors):
+            return math.nan
+        return float(np.min(np.abs(errors[:, 1])))
+
+    def _is_new(self, rows: Numbers) -> bool:
+        return bool(rows[-1, 0] > self.now - 2.0 * _LATELY)
 
     @property
     def state(self) -> tuple[float | None, float | None]:

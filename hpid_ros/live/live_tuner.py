@@ -71,7 +71,7 @@ class LiveTuner(executor.ClosingNode):
         trials = self._served.trials
         if trials.is_idle:
             return None
-        trials.cancel()
+        trials.cancel("ended: hpid live was stopped")
         has_ended = Future()
 
         def look() -> None:

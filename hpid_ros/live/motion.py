@@ -123,6 +123,8 @@ class Ending:
     reason: str  # why it was stopped; empty if it went to its end
     is_interrupted: bool = False  # whether somebody wanted it to end
     is_at_rest: bool = True  # whether the joints were seen to rest
+    # where the references stood when it began, in the order of its joints; empty if it did not
+    began_at: tuple[float, ...] = ()
 
 
 def carried_out(
@@ -228,7 +230,7 @@ def _stopped(
     if not told and process.process.returncode:
         raise RunError(f"{reason}; {_by_itself(mover, process)}; deactivate their controllers")
     is_at_rest = all(each.get("is_at_rest", True) for each in told)
-    return Ending(reason, is_interrupted, is_at_rest)
+    return Ending(reason, is_interrupted, is_at_rest, *map(_began_at, told[-1:]))
 
 
 def _by_itself(mover: Mover, process: NodeProcess) -> str:
@@ -244,11 +246,16 @@ def _ending(mover: Mover, process: NodeProcess, tell: Tell) -> Ending | None:
         if kind in ("done", "stopped"):
             with suppress(subprocess.TimeoutExpired):  # it has done what it was to do
                 process.process.wait(_ENDS_WITHIN)
-            return Ending(str(event["reason"]), is_at_rest=bool(event["is_at_rest"]))
+            is_at_rest = bool(event["is_at_rest"])
+            return Ending(str(event["reason"]), is_at_rest=is_at_rest, began_at=_began_at(event))
         tell(kind, float(event.get("seconds", 0.0)))
     if has_ended:
         raise RunError(_by_itself(mover, process))
     return None
+
+
+def _began_at(event: Mapping[str, Any]) -> tuple[float, ...]:
+    return tuple(map(float, event.get("began_at", ())))
 
 
 _EXCITER = Mover(
@@ -321,8 +328,12 @@ def carry_out(
     bag: Path,
     tell: Tell,
     button: Button | None = None,
+    ends_at: Sequence[float] | None = None,
 ) -> Ending:
-    """Excite joints and record them; however it ends, the joints have come to rest before."""
+    """Excite joints and record them; however it ends, the joints have come to rest before.
+
+    Their references begin where they stand, or end where it is said.
+    """
     timings = [each.settings.timing for each in controllers]
     rates = [each.introspection_rate for each in controllers if each.introspection_rate > 0.0]
     slowest = max((_REFERENCE_PERIODS / rate for rate in rates), default=0.0)
@@ -331,6 +342,7 @@ def carry_out(
         "takeover_time": max(each.takeover_time for each in timings),
         "reference_timeout": max(_LEAST_REFERENCE_TIMEOUT, slowest),
         "is_simulated": all(each.is_simulated for each in timings),
+        "ends_at": ends_at if ends_at is None else list(ends_at),
     }
     return carried_out(_EXCITER, order, graph, controllers[0].namespace, bag, tell, button)
 
@@ -349,6 +361,7 @@ class HeldMotion:
         graph: RunningGraph,
         bag: Path,
         within: float = HELD_WITHIN,
+        ends_at: Sequence[float] | None = None,
     ) -> None:
         self.bag = bag
         self.stage: Literal["preparing", "ready", "moving", "ended"] = "preparing"
@@ -360,7 +373,7 @@ class HeldMotion:
 
         def run() -> None:
             try:
-                ending = carry_out(plan, controllers, graph, bag, self._tell, button)
+                ending = carry_out(plan, controllers, graph, bag, self._tell, button, ends_at)
                 self._ended.set_result(ending)
             except BaseException as error:  # raised where somebody asks for the ending
                 self._ended.set_exception(error)

@@ -275,16 +275,23 @@ class ControlLock:
         self.holder: str | None = None  # None if no page is open, or the one that had it is gone
         self._pages: Counter[str] = Counter()
         self._last: str | None = None
+        self._names: dict[str, str] = {}
 
     @property
     def pages(self) -> int:
         return len(self._pages)
 
-    def join(self, page: str) -> None:
+    def name(self, page: str) -> str:
+        """Return what a page is called: the number in which it came, and the address it is at."""
+        return self._names.get(page, "another page")
+
+    def join(self, page: str, address: str = "") -> None:
         """Let a page look on; it has control if no other page is there, or if it had it last.
 
         A page that was cut off may join once more before it has left.
         """
+        at = f" at {address}" if address else ""
+        self._names.setdefault(page, f"page {len(self._names) + 1}{at}")
         self._pages[page] += 1
         if len(self._pages) == 1 or (self.holder is None and self._last == page):
             self.holder = self._last = page
@@ -519,11 +526,19 @@ class LiveSession:
             sets = self.tuning.towards(values)
             return not sets or await self._send(sets, what)
 
-    async def stop(self) -> bool:
+    def take_control(self, page: str) -> None:
+        """Give control to a page whose person asked for it, and say who had it."""
+        lock, before = self.control_lock, self.control_lock.holder
+        lock.take(page)
+        if lock.holder == page != before:
+            of = "" if before is None else f" from {lock.name(before)}"
+            self.say(f"{lock.name(page)} has taken control{of}")
+
+    async def stop(self, by: str = "") -> bool:
         """Deactivate every controller that is shown: each joint is left as its ``stop`` says."""
         seen = self.controllers
         nodes = [node for node, each in seen.items() if each.is_here]
-        self.say(f"STOP: deactivating {len(nodes)} controllers", is_bad=True)
+        self.say(f"STOP{by}: deactivating {len(nodes)} controllers", is_bad=True)
         gone = {node: each for node, each in seen.items() if not each.is_here}
         lost = [node for node, each in gone.items() if each.lifecycle not in _AT_REST]
         for node in lost:

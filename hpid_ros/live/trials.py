@@ -27,9 +27,8 @@ from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.measure import Measured, Measuring, compare, measure
-from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan
+from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan, plan_return
 
-_AFTER = 0.3  # [s] of a recording behind the motion that are measured
 _STANDS_WITHIN = 1e-9  # [rad]
 
 
@@ -105,7 +104,7 @@ class TrialResult:
 
 
 def measure_motion(bag: Path, label: str, planned: ExcitationPlan) -> MeasuredMotion:
-    """Measure a recording from the plan's start on.
+    """Measure a recording while the motion lasts: neither the wait before it nor what follows.
 
     What a joint was told before, which is still on the graph, is in the recording, too: so the
     start is counted back from when the last reference came to rest.
@@ -116,8 +115,8 @@ def measure_motion(bag: Path, label: str, planned: ExcitationPlan) -> MeasuredMo
     rests = [_rests_at(each) for each in series.joints if each.has_reference]
     if not rests:
         raise RunError(f"{label}: the recording tells no reference")
-    begin = round(max(max(rests) - max(each.end for each in planned.joints), 0.0), 3)
-    end = round(begin + planned.duration + _AFTER, 3)
+    begin = round(max(max(rests) - (planned.rests_at - planned.begin), 0.0), 3)
+    end = round(begin + planned.end - planned.begin, 3)
     run = measure(bag, label, Measuring(replace(selection, start=begin, end=end)))
     return MeasuredMotion(run, begin, end)
 
@@ -134,7 +133,8 @@ _LARGEST_TIME = 60.0  # [s]
 _LONGEST_FILE_NAME = 60  # characters of a snapshot's name
 _GONE_FOR = 10.0  # [s] until a trial ends whose page is gone
 _CANCELLED = "cancelled"
-_BY_STOP = "ended by Stop: activate the joints, then get ready again"
+_BY_STOP = "ended by Stop{}: activate the joints, then get ready again"
+_THERE = 1e-3  # [rad] or [m] from where the first motion began
 
 
 class MotionWish(NamedTuple):
@@ -182,6 +182,7 @@ class Trials:
         self._is_ignored = False  # a press too early, or of the motion before, until it is let go
         self._call = ""  # what the button is for, once the motion is ready
         self._end = ""  # why the trial is to end
+        self._start: dict[str, float] = {}  # references of its joints when it first moved them
         self._here_at = self._ends_at = 0.0
         self._stopping: asyncio.Task[bool] | None = None
         self.number = self.count = 0
@@ -215,12 +216,15 @@ class Trials:
             )
         if inactive := self._inactive(nodes):
             raise SettingError(inactive)
-        session = self._session
-        graph = session.graph.running(nodes, lambda node: session.history(node).state)
-        controllers = chosen(graph, [])
+        controllers, graph = self._running(nodes)
         bounds = [bounds_of(each, None) for each in controllers]
         design = Design(kind=wish.kind, duration=wish.duration, are_together=True)  # type: ignore[arg-type]
         return plan(bounds, Wish(wish.share, wish.amplitude), design), controllers, graph
+
+    def _running(self, nodes: Sequence[str]) -> tuple[list[Controller], RunningGraph]:
+        session = self._session
+        graph = session.graph.running(nodes, lambda node: session.history(node).state)
+        return chosen(graph, []), graph
 
     # The button
 
@@ -256,7 +260,10 @@ class Trials:
             self._motion.release()
 
     def cancel(self, why: str = _CANCELLED) -> None:
-        """End what is under way: from now on no press moves anything."""
+        """End what is under way: from now on no press moves anything.
+
+        The reason is said on the page.
+        """
         if self.stage is Stage.IDLE:
             return
         if not self._end:
@@ -265,11 +272,12 @@ class Trials:
         if self._motion is not None:
             self._motion.release()
 
-    async def stop(self) -> bool:
+    async def stop(self, who: str = "") -> bool:
         """End what is under way, and deactivate every controller that is shown."""
-        self.cancel(_BY_STOP)
+        by = f" on {who}" if who else ""
+        self.cancel(_BY_STOP.format(by))
         if self._stopping is None or self._stopping.done():
-            self._stopping = asyncio.create_task(self._session.stop())
+            self._stopping = asyncio.create_task(self._session.stop(by))
         return await asyncio.shield(self._stopping)  # one that is asked for twice is one
 
     def unfinished(self) -> list[str]:
@@ -299,8 +307,10 @@ class Trials:
     ) -> None:
         """Carry out one motion for each variant, and measure them.
 
-        A motion whose button was released is prepared once more. When one ends for another
-        reason, or is cancelled, so does the trial, also while its last motion is measured:
+        A motion whose button was released is prepared once more, and begins where the first one
+        began: joints that stopped elsewhere go back there first, while the button is held. When
+        one ends for another reason, or is cancelled, so does the trial, also while its last
+        motion is measured:
         controllers are set back to what they were before, each that is there, and what was
         measured until then is its result. What somebody else sets meanwhile stays.
         """
@@ -309,7 +319,7 @@ class Trials:
             return
         self._page, self._stage = page, Stage.PREPARING
         self._is_held = self._is_ignored = False
-        self._end = ""
+        self._end, self._start = "", {}
         self._here_at = time.monotonic()
         self.result, self.count = None, len(variants)
         staged = self._session.tuning.staged_sets(nodes)
@@ -384,13 +394,17 @@ class Trials:
         """Carry one motion out, as often as its button is released, and measure it."""
         assert self._folder is not None
         for attempt in itertools.count(1):
+            label = variant.label if attempt == 1 else f"{variant.label}, attempt {attempt}"
+            name = "_".join(re.findall(r"\w+", variant.label))[:_LONGEST_FILE_NAME] or "run"
+            again = "" if attempt == 1 else f"_attempt_{attempt}"
+            bag = self._folder / f"{number + 1}_{name}{again}"
+            await self._go_back(nodes, wish, variant.label, bag)
             self._require_wanted()
             planned, controllers, graph = self._planned(nodes, wish)
-            label = variant.label if attempt == 1 else f"{variant.label}, attempt {attempt}"
-            name = "_".join(re.findall(r"\w+", label))[:_LONGEST_FILE_NAME] or "run"
-            bag = self._folder / f"{number + 1}_{name}"
             motion = HeldMotion(planned, controllers, graph, bag, self._within)
             ending = await self._ending(motion, nodes, label, planned.duration)
+            if not self._start:
+                self._start = dict(zip(planned.names, ending.began_at, strict=False))
             if not ending.reason:
                 break
             self._explain(ending, label)
@@ -406,6 +420,43 @@ class Trials:
                 measuring.add_done_callback(lambda each: each.cancelled() or each.exception())
                 raise RunError(self._end)
         return measuring.result()
+
+    async def _go_back(
+        self, nodes: Sequence[str], wish: MotionWish, label: str, bag: Path
+    ) -> None:
+        """Move joints back to where the trial's first motion began, while the button is held."""
+        for attempt in itertools.count(1):
+            ways = self._ways_back(nodes)
+            if all(abs(way) < _THERE for way in ways.values()):
+                return
+            self._require_wanted()
+            controllers, graph = self._running(nodes)
+            joints = [each.joint for each in controllers]
+            planned = plan_return(
+                [bounds_of(each, None) for each in controllers],
+                [ways[joint] for joint in joints],
+                Wish(wish.share, wish.amplitude),
+            )
+            place = bag.with_name(f"{bag.name}_back_{attempt}")
+            ends = [self._start[joint] for joint in joints]
+            motion = HeldMotion(planned, controllers, graph, place, self._within, ends)
+            back = f"{label}, back to where it began"
+            ending = await self._ending(motion, nodes, back, planned.duration)
+            if not self._is_kept:
+                shutil.rmtree(place, ignore_errors=True)
+            if not ending.reason:
+                return
+            self._explain(ending, back)
+
+    def _ways_back(self, nodes: Sequence[str]) -> dict[str, float]:
+        """Return how far joints are from where the trial's first motion began."""
+        ways = {}
+        for node in nodes:
+            joint, history = self._session.controllers[node].joint, self._session.history(node)
+            now = history.position if history.reference is None else history.reference
+            start = self._start.get(joint)
+            ways[joint] = 0.0 if start is None or now is None else start - now
+        return ways
 
     async def _ending(
         self, motion: HeldMotion, nodes: Sequence[str], label: str, duration: float
@@ -458,10 +509,13 @@ class Trials:
     def _note_presence(self) -> None:
         """Cancel where another page has control, or the trial's own has been gone for a while."""
         control_lock, now = self._session.control_lock, time.monotonic()
-        if control_lock.holder == self._page:
+        holder = control_lock.holder
+        if holder == self._page:
             self._here_at = now
-        if control_lock.holder not in (None, self._page) or now - self._here_at > _GONE_FOR:
-            self.cancel()
+        elif holder is not None:
+            self.cancel(f"ended: {control_lock.name(holder)} has taken control")
+        elif now - self._here_at > _GONE_FOR:
+            self.cancel(f"ended: its page has been gone for {_GONE_FOR:g} s")
 
     async def _set(self, number: int, variant: Variant, tried: Tried) -> None:
         """Have controllers take what is next; who wants a certificate may compute it first."""

@@ -65,8 +65,9 @@ class Course(NamedTuple):
 
     @property
     def crest_factor(self) -> float:
-        """Largest velocity over its root mean square; of one sine it is 1.41."""
-        return self.peaks.velocity / float(np.sqrt(np.mean(self.velocity**2)))
+        """Largest velocity over its root mean square; of one sine it is 1.41, at rest 0."""
+        mean = float(np.sqrt(np.mean(self.velocity**2)))
+        return self.peaks.velocity / mean if mean else 0.0
 
     def scaled(self, factor: float) -> Course:
         """Return it so many times as large."""
@@ -319,6 +320,7 @@ _LEAD = 0.5  # [s] at rest, until every controller has taken the trajectory up
 _BETWEEN = 1.0  # [s] between joints that are excited one after the other
 _MOST_KNOTS = 45_000  # controllers take 50 000 points
 _TOLERANCE_SHARE, _LEAST_TOLERANCE = 0.5, 0.02  # of the amplitude; [rad]
+_STANDS_WITHIN = 1e-9  # [rad]
 _RUNAWAY, _VELOCITY_NOISE = 2.0, 0.2  # of the planned velocity; [rad/s]
 
 
@@ -372,6 +374,22 @@ class ExcitationPlan:
         """In [s]."""
         return float(self.times[-1])
 
+    @property
+    def begin(self) -> float:
+        """When the first joint begins to move, in [s]."""
+        return min(each.begin for each in self.joints)
+
+    @property
+    def end(self) -> float:
+        """When the last joint's motion ends, with its rest, in [s]."""
+        return max(each.end for each in self.joints)
+
+    @property
+    def rests_at(self) -> float:
+        """When the last joint's reference comes to its rest, in [s]."""
+        moves = np.any(np.abs(self.positions - self.positions[-1]) > _STANDS_WITHIN, axis=1)
+        return float(self.times[min(int(np.flatnonzero(moves)[-1]) + 1, len(self.times) - 1)])
+
     def as_mapping(self) -> dict[str, Any]:
         """Return it as what JSON can hold."""
         arrays = ("times", "positions", "velocities", "accelerations")
@@ -414,6 +432,25 @@ def plan(bounds: Sequence[JointBounds], wish: Wish, design: Design) -> Excitatio
         for each in zip(bounds, notes, courses, begins, strict=True)
     ]
     return _laid_out(joints, courses, begins)
+
+
+def plan_return(
+    bounds: Sequence[JointBounds], ways: Sequence[float], wish: Wish
+) -> ExcitationPlan:
+    """Return a move of minimum jerk of all joints together by so much each, in [rad] or [m]."""
+    limits, notes = zip(*(allowed(each, wish) for each in bounds), strict=True)
+    move = max(
+        move_time(1.0, each._replace(position=abs(way)))
+        for each, way in zip(limits, ways, strict=True)
+    )
+    start = Course(*(np.zeros(1) for _ in range(4)))
+    courses = [
+        Course(*map(np.concatenate, zip(start, *moved(0.0, move, 0.0, way), strict=True)))
+        for way in ways
+    ]
+    begins = [_LEAD] * len(courses)
+    planned = zip(bounds, notes, courses, begins, strict=True)
+    return _laid_out([_planned_joint(*each, 0.0) for each in planned], courses, begins)
 
 
 def _require_few(knots: float) -> None:

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.slow
 
 LATE = 60_000  # [ms]
 NODE = "turn_controller"
+AGAIN = r"(, attempt \d+|, back to where it began)?"
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +91,8 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page, 
     assert ratio > 0.0
     hpid, *command = page.locator(".command").first.inner_text().split()
     assert (hpid, main([*command, "--json"])) == ("hpid", 0)
+    *_, begin, _, end = command  # the motion's: neither what was before it nor what came after
+    assert float(end) - float(begin) == pytest.approx(2.0, abs=0.01)
     (run,) = json.loads(capsys.readouterr().out)["runs"].values()
     assert run["totals"]["itae"] == pytest.approx(before, rel=1e-3)
     page.get_by_role("button", name="keep in force").click()
@@ -133,12 +136,12 @@ def test_stop_ends_what_is_ready_and_a_press_cannot_move_a_stopped_joint(harness
 
 def of_trial(label, text):
     """Return what the log has of a motion, or of another attempt at it."""
-    return re.compile(rf"trial: {label}(, attempt \d+)?: {text}")
+    return re.compile(rf"trial: {label}{AGAIN}: {text}")
 
 
 def said(page, label, text):
     """Return where the page says of a motion how far it is."""
-    return page.get_by_text(re.compile(rf"^{label}(, attempt \d+)?: {text}"))
+    return page.get_by_text(re.compile(rf"^{label}{AGAIN}: {text}"))
 
 
 def hold_button(page):

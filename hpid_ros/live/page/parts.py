@@ -33,6 +33,11 @@ class Viewer:
     def may_edit(self) -> bool:
         return self.session.control_lock.holder == self.page
 
+    @property
+    def name(self) -> str:
+        """What others call this page."""
+        return self.session.control_lock.name(self.page)
+
     def stage(self, name: str, value: Any, *, is_factor: bool = False) -> None:
         """Choose a value, or times what is active, for the joints that are chosen."""
         if not self.may_edit:

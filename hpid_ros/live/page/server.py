@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, quote, urlencode
 
 import uvicorn
-from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
 from jinja2 import BaseLoader, Environment
 from nicegui import Client, background_tasks, ui
 from nicegui import app as pages
@@ -372,8 +372,9 @@ def _api(trials: Trials, frames: Frames) -> FastAPI:
     api.add_api_websocket_route("/frames", frames.stream)
 
     @api.post("/stop")
-    async def stop() -> dict[str, bool]:
-        return {"stopped": await trials.stop()}
+    async def stop(request: Request) -> dict[str, bool]:
+        at = request.client.host if request.client else "an unknown address"
+        return {"stopped": await trials.stop(f"a page at {at}")}
 
     return api
 
@@ -426,7 +427,7 @@ class Frames:
             await socket.close(1008, "no such page")
             return
         await socket.accept()
-        self._session.control_lock.join(page)
+        self._session.control_lock.join(page, socket.client.host if socket.client else "")
         queue: asyncio.Queue[str] = asyncio.Queue(_BEHIND)
         self._viewers[queue] = page
         sending = asyncio.create_task(self._send(socket, queue))
@@ -443,14 +444,14 @@ class Frames:
 
     def _take(self, page: str, text: str, answers: asyncio.Queue[str]) -> None:
         if text == "stop":
-            background_tasks.create(self._stop(answers))
+            background_tasks.create(self._stop(page, answers))
         elif text == "hold" and self._session.control_lock.holder == page:
             self._trials.press(page)
         elif text == "release":
             self._trials.release(page)
 
-    async def _stop(self, answers: asyncio.Queue[str]) -> None:
-        is_stopped = await self._trials.stop()
+    async def _stop(self, page: str, answers: asyncio.Queue[str]) -> None:
+        is_stopped = await self._trials.stop(self._session.control_lock.name(page))
         with contextlib.suppress(asyncio.QueueFull):
             answers.put_nowait(json.dumps({"stopped": is_stopped}))
 

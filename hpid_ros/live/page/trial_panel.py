@@ -63,7 +63,7 @@ class TrialPanel:
                 'aria-label="hold to run, release to stop"'
             )
             self._hold.on("pointerdown", js_handler="(event) => window.hpidLive.holdBy(event)")
-            self._cancel = button("Cancel", lambda: self._trials.cancel())
+            self._cancel = button("Cancel", self._on_cancel)
         self._said = ui.label().props('aria-live="polite"')
         self._result = ui.element("div").classes("result")
 
@@ -155,6 +155,10 @@ class TrialPanel:
                 self._viewer.page, nodes, self._wish, variants, is_kept=self._is_kept.value
             )
         )
+
+    def _on_cancel(self) -> None:
+        own = "cancelled" if self._viewer.may_edit else f"cancelled on {self._viewer.name}"
+        self._trials.cancel(own)
 
     def _variant(self, name: str, nodes: Sequence[str], count: int) -> Variant:
         tuning = self._session.tuning

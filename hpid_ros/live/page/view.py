@@ -12,7 +12,7 @@ from functools import partial
 from nicegui import ui
 
 from hpid_ros.live.controllers import SILENT_AFTER, Controller
-from hpid_ros.live.history import RisingCount
+from hpid_ros.live.history import JointHistory, RisingCount
 from hpid_ros.live.page.panel import TuningPanel
 from hpid_ros.live.page.parts import COLOURS, Viewer, button, labelled, mark, table
 from hpid_ros.live.session import LiveSession
@@ -21,6 +21,7 @@ from hpid_ros.live.trials import Stage, Trials
 _MISSED_LATELY = 10.0  # [s]
 _COLUMNS = ("", "joint", "state", "mean |e|", "largest |e|", "IVC/s", "rms u", "missed", "")
 _LEVELS = ("ok", "warning", "error", "error")
+_FAR, _FAR_SLIDE = 0.1, 0.02  # [rad, m] from the reference, that is not shown green
 
 _TIPS = {
     "mean |e|": "ITAE over the window, as a mean error: late errors weigh more",
@@ -111,12 +112,13 @@ class _Row:
 
     def refresh(self, window: float) -> None:
         seen = self._session.controllers[self._node]
-        state, level, tip = _state(seen)
+        history = self._session.history(self._node)
+        state, level, tip = _state(seen, history)
         self._state.set_text(state)
         self._state.classes(replace=f"state is-{level}")
         self._tip.set_text(tip)
         mark(self._row, "is-gone", is_on=not seen.is_here)
-        found = self._session.history(self._node).indices(window)
+        found = history.indices(window)
         missed = seen.health.values.get("missed samples", "") if seen.health else ""
         if missed.isdecimal():
             rises = self._missed.tell(int(missed), time.monotonic())
@@ -139,7 +141,7 @@ class _Row:
         await self._session.transit([self._node], transition)
 
 
-def _state(seen: Controller) -> tuple[str, str, str]:
+def _state(seen: Controller, history: JointHistory) -> tuple[str, str, str]:
     """Return a controller's state in a word or two, how bad that is, and more about it."""
     health, lifecycle = seen.health, seen.lifecycle
     if not seen.is_here:
@@ -150,7 +152,16 @@ def _state(seen: Controller) -> tuple[str, str, str]:
         return lifecycle or "found", "ok", "it has said nothing on /diagnostics yet"
     if time.monotonic() - health.heard_at > SILENT_AFTER:
         return "silent", "error", f"nothing on /diagnostics for {SILENT_AFTER:g} s"
-    return lifecycle or "active", _LEVELS[min(health.level, 3)], health.message
+    level = _LEVELS[min(health.level, 3)]
+    if level != "ok":
+        return lifecycle or "active", level, health.message
+    unit, far = ("m", _FAR_SLIDE) if seen.limits.is_slide else ("rad", _FAR)
+    if history.is_saturated:
+        return "saturated", "warning", f"its effort is at a limit; {health.message}"
+    if history.distance > far:
+        tip = f"{history.distance:.3g} {unit} from its reference; {health.message}"
+        return "far off", "warning", tip
+    return lifecycle or "active", level, health.message
 
 
 def _figure(value: float) -> str:
@@ -267,7 +278,7 @@ class PageView:
                 labelled(place, f"{text} over time")
 
     def _take_control(self) -> None:
-        self._session.control_lock.take(self._viewer.page)
+        self._session.take_control(self._viewer.page)
         self._refresh()
 
     def _show(self) -> None:
@@ -303,7 +314,8 @@ class PageView:
         elif control_lock.holder is None:
             self._control_lock.set_text("nobody has control")
         else:
-            self._control_lock.set_text("another page has control: this one looks on")
+            name = control_lock.name(control_lock.holder)
+            self._control_lock.set_text(f"{name} has control: this one looks on")
         self._take.set_visibility(not self._viewer.may_edit)
         self._table.refresh()
         self._panel.refresh()

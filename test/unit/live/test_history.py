@@ -235,3 +235,24 @@ def test_efforts_are_the_measured_ones_until_a_command_is_told():
     assert bare.efforts.tolist() == [[5e-3, 7.0], [6e-3, 8.0]]
     ahead = taken(sampler, numbers([7]), bare=[1.0, 9.0])
     assert ahead.efforts.tolist() == [[7e-3, 1.0], [7e-3, 9.0]]
+
+
+def test_a_joint_that_is_for_a_while_at_its_effort_limit_is_saturated():
+    history = JointHistory(loop_settings("elbow"))  # within 50 N m
+    assert not history.is_saturated
+    history.append(samples(0, 1, effort=lambda t: np.where(t < 0.9, 50.0, 3.0)))
+    assert not history.is_saturated
+    history.append(samples(1, 2, effort=lambda t: 0.0 * t - 50.0))
+    assert history.is_saturated
+
+
+def test_a_joint_is_as_far_from_its_reference_as_it_was_at_least_for_a_while():
+    history = JointHistory(loop_settings("elbow"))
+    assert math.isnan(history.distance)
+    history.append(samples(0, 2, lambda t: np.where(t < 1.7, 0.3, 0.1), reference=0.5))
+    assert history.distance == pytest.approx(0.2)
+    history.append(samples(2, 3, lambda t: 0.0 * t + 0.1, reference=0.5))
+    assert history.distance == pytest.approx(0.4)
+    later = samples(3, 6)
+    history.append(Samples(later.states, later.efforts, later.references[:0]))
+    assert math.isnan(history.distance)  # its controller publishes none any more

@@ -1,16 +1,19 @@
 """What the page's parts show and choose, without a browser."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from harness.simulated_graph import SimulatedGraph, arm
 from nicegui import Client, ui
 
 from hpid_ros.live.advice import Advice
+from hpid_ros.live.controllers import Samples
 from hpid_ros.live.page.panel import AllParameters, TuningPanel
 from hpid_ros.live.page.parts import Viewer
 from hpid_ros.live.page.trial_panel import TrialPanel
-from hpid_ros.live.page.view import JointTable, PageView
+from hpid_ros.live.page.view import JointTable, PageView, _state
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import Trials
 
@@ -99,3 +102,30 @@ def test_a_snapshot_of_any_name_is_a_variant_of_its_own(session, viewer, name):
     assert len({in_force.label, chosen.label, kept.label}) == 3
     assert kept.values[NODES[0]]["mu"] == -0.2
     assert len(set(panel._other.options)) == 4
+
+
+@pytest.mark.parametrize(
+    ("efforts", "reference", "shown"),
+    [
+        (0.0, 0.0, ("active", "ok")),
+        (50.0, 0.0, ("saturated", "warning")),
+        (0.0, 0.4, ("far off", "warning")),
+    ],
+)
+def test_a_joint_that_is_saturated_or_far_from_its_reference_is_not_green(
+    session, efforts, reference, shown
+):
+    times = np.arange(1000.0) / 1000.0
+    zeros = np.zeros_like(times)
+    history = session.history(NODES[0])
+    history.append(
+        Samples(
+            np.column_stack([times, zeros, zeros]),
+            np.column_stack([times, zeros + efforts]),
+            np.column_stack([times, zeros + reference, zeros]),
+        )
+    )
+    seen = session.graph.controllers()[NODES[0]]
+    assert _state(seen, history)[:2] == shown
+    worse = replace(seen, health=seen.health._replace(level=2, message="states jump"))
+    assert _state(worse, history) == ("active", "error", "states jump")

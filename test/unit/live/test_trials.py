@@ -4,13 +4,14 @@ import asyncio
 import subprocess
 import threading
 
+import numpy as np
 import pytest
 from harness.simulated_graph import SimulatedGraph, arm
 
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.live import motion as watching
 from hpid_ros.live import trials as module
-from hpid_ros.live.controllers import RunningGraph
+from hpid_ros.live.controllers import RunningGraph, Samples
 from hpid_ros.live.motion import RELEASED, Ending, Mover, carried_out
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import MotionWish, Stage, Trials, Tried, Variant
@@ -44,7 +45,8 @@ class Motion:
             self._end(RELEASED)
 
     def _end(self, reason):
-        self.ending = Ending(reason, is_interrupted=False, is_at_rest=True)
+        began_at = () if self.stage == "preparing" else tuple(self.began_at)
+        self.ending = Ending(reason, is_interrupted=False, is_at_rest=True, began_at=began_at)
         self.stage = "ended"
 
 
@@ -62,9 +64,19 @@ class Bench:
         module.HeldMotion = self._start
         self._reason, self._motion = reason, motion
 
-    def _start(self, planned, controllers, graph, bag, within):
-        self.motions.append(self._motion(bag, self._reason))
-        return self.motions[-1]
+    def _start(self, planned, controllers, graph, bag, within, ends_at=None):
+        self.motions.append(motion := self._motion(bag, self._reason))
+        motion.planned, motion.ends_at = planned, ends_at
+        motion.began_at = [
+            self.session.history(each.node).reference or 0.0 for each in controllers
+        ]
+        return motion
+
+    def stand(self, place):
+        """Have the joint and its reference stand somewhere."""
+        now = self.session.history(NODE).now + 1.0
+        row = np.array([[now if np.isfinite(now) else 0.0, place, 0.0]])
+        self.session.history(NODE).append(Samples(row, row[:0, :2], row))
 
     def run(self, course, variants=(IN_FORCE,), nodes=(NODE,)):
         """Carry a trial out while somebody does something."""
@@ -172,8 +184,8 @@ def test_what_is_chosen_during_a_trial_is_not_what_was_chosen_before_it():
 
 
 def take_control(bench):
-    bench.session.control_lock.join("another")
-    bench.session.control_lock.take("another")
+    bench.session.control_lock.join("another", "192.0.2.7")
+    bench.session.take_control("another")
 
 
 @pytest.mark.parametrize("motion", [1, 2])
@@ -194,7 +206,12 @@ def test_a_page_that_loses_control_while_a_motion_is_measured_has_nothing_more_s
 
     monkeypatch.setattr(bench.trials, "cancel", noted)
     measuring(measured)
-    assert bench.run(lambda bench: bench.hold(motion), (IN_FORCE, CHOSEN)) == "cancelled"
+    line = "ended: page 2 at 192.0.2.7 has taken control"
+    assert bench.run(lambda bench: bench.hold(motion), (IN_FORCE, CHOSEN)) == line
+    assert bench.session.log[-1].text != line
+    assert "page 2 at 192.0.2.7 has taken control from page 1" in [
+        each.text for each in bench.session.log
+    ]
     assert len(bench.motions) == motion
     assert bench.gain == bench.before
 
@@ -216,8 +233,11 @@ def test_what_is_kept_of_a_trial_is_what_was_tried_alone(measuring):
 @pytest.mark.parametrize(
     ("act", "said"),
     [
-        (take_control, "cancelled"),
-        (lambda bench: bench.session.control_lock.leave(PAGE), "cancelled"),
+        (take_control, "ended: page 2 at 192.0.2.7 has taken control"),
+        (
+            lambda bench: bench.session.control_lock.leave(PAGE),
+            "ended: its page has been gone for 0.2 s",
+        ),
         (
             lambda bench: bench.graph.change_state(NODE, "deactivate"),
             "arm_joint_1 is inactive: activate it first",
@@ -292,6 +312,58 @@ def test_what_a_trial_sets_for_its_next_motion_is_only_what_its_motions_differ_i
     tried = Tried(before, (Variant("in force", first), Variant("chosen", then)))
     assert tried.wanted(Variant("chosen", then)) == {NODE: {"gains.p": 99.0}}
     assert tried.wanted(Variant("in force", first)) == {NODE: {"gains.p": 80.0}}
+
+
+def test_an_interrupted_trial_goes_back_and_begins_again_where_it_began_first():
+    """It walked on: each attempt began where the one before had stopped."""
+
+    async def let_go_twice(bench):
+        begins = []
+        for attempt in (1, 3, 5):
+            await bench.move(attempt)
+            begins.append(bench.session.history(NODE).reference)
+            if attempt == 5:
+                break
+            bench.stand(0.6 + 0.02 * attempt)
+            bench.trials.release(PAGE)
+            await bench.move(attempt + 1)  # back, while it is held
+            back = bench.motions[attempt]
+            assert back.ends_at == [0.6]
+            assert back.planned.positions[-1] == pytest.approx([-0.02 * attempt])
+            bench.stand(0.6)
+            bench.trials.press(PAGE)
+        bench.trials.cancel()
+        return begins
+
+    bench = Bench("")
+    bench.stand(0.6)
+    begun = []
+
+    async def course(bench):
+        begun.extend(await let_go_twice(bench))
+
+    bench.run(course)
+    assert begun == [0.6, 0.6, 0.6]
+    line = "trial: in force, back to where it began: hold the button"
+    assert any(each.text.startswith(line) for each in bench.session.log)
+
+
+def test_a_way_back_that_is_let_go_is_asked_for_again():
+    async def let_go(bench):
+        await bench.move()
+        bench.stand(0.5)
+        bench.trials.release(PAGE)
+        await bench.move(2)
+        bench.stand(0.55)
+        bench.trials.release(PAGE)
+        await bench.move(3)
+        assert bench.motions[2].planned.positions[-1] == pytest.approx([0.05])
+        bench.trials.cancel()
+
+    bench = Bench("")
+    bench.stand(0.6)
+    assert bench.run(let_go) == "cancelled"
+    assert [each.ends_at for each in bench.motions] == [None, [0.6], [0.6]]
 
 
 class Tapped(Motion):

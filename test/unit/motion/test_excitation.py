@@ -24,6 +24,7 @@ from hpid_ros.motion.excitation import (
     move_time,
     multisine,
     plan,
+    plan_return,
     planned_relay,
     sine,
     steps,
@@ -307,3 +308,30 @@ def test_a_plan_is_of_the_wished_size_and_no_larger_than_its_share_of_the_room(k
         assert np.max(np.abs(planned.positions)) == pytest.approx(reached, rel=1e-3)
         assert np.max(np.abs(planned.velocities)) <= 2.0 + 1e-9
         assert planned.positions[-1] == pytest.approx(0.0)
+
+
+def test_the_way_back_of_several_joints_is_one_straight_line_within_their_limits():
+    wish = Wish(share=0.5, amplitude=0.1)  # which is of the motion that was interrupted
+    planned = plan_return([ELBOW, WRIST], [-0.3, 0.0], wish)
+    assert planned.positions[0] == pytest.approx([0.0, 0.0])
+    assert planned.positions[-1] == pytest.approx([-0.3, 0.0])
+    assert np.all(planned.positions[:, 1] == 0.0)
+    assert np.max(np.abs(planned.velocities)) <= 1.0 + 1e-9
+    assert np.max(np.abs(planned.accelerations)) <= 0.5 * 6.0 / 0.1 + 1e-9
+    together = plan_return([ELBOW, WRIST], [-0.3, 0.1], wish)
+    assert together.positions[:, 1] == pytest.approx(-together.positions[:, 0] / 3.0, abs=1e-9)
+    there = goal_of(planned, [0.8, 0.2], ends=[0.5, 0.2])
+    assert there.arrays.positions[-1] == pytest.approx([0.5, 0.2])
+
+
+@pytest.mark.parametrize("kind", ["minimum_jerk", "step", "sine"])
+def test_a_motion_is_told_from_what_is_before_and_after_it(kind):
+    design = Design(kind=kind, duration=4.0, are_together=True)
+    planned = plan([ELBOW, WRIST], Wish(amplitude=0.1), design)
+    assert planned.end - planned.begin == pytest.approx(4.0, rel=0.02)
+    before = planned.times <= planned.begin
+    assert np.all(planned.positions[before] == 0.0)
+    after = planned.times >= planned.rests_at
+    assert planned.positions[after] == pytest.approx(0.0, abs=1e-9)
+    assert np.max(np.abs(planned.positions[~after][-1])) > 0.0
+    assert planned.begin < planned.rests_at <= planned.end
