@@ -4,14 +4,12 @@ Needs Chromium (Debian: ``apt install chromium``) and playwright from PyPI; skip
 """
 
 import ast
-from dataclasses import replace
 
 import pytest
 from harness.browser import launched
+from harness.page_process import PageProcess
 from harness.places import ROOT
-from harness.simulated_graph import SimulatedGraph, loop_settings
 
-from hpid_ros.live.page.server import PageServer
 from hpid_ros.live.session import name_shown
 
 pytestmark = pytest.mark.slow
@@ -34,29 +32,29 @@ NAMES = [
 NODES = [f"/hostile_{number:02}_controller" for number in range(len(NAMES))]
 
 
+JOINTS = dict(zip(NODES, NAMES, strict=True))
+HOSTILE = f"""
+from dataclasses import replace
+
 class Hostile(SimulatedGraph):
-    """Joints with such names, whose controllers send the same as texts."""
-
-    def __init__(self):
-        super().__init__(
-            {node: loop_settings(name) for node, name in zip(NODES, NAMES, strict=True)}
-        )
-
     def watch(self, nodes):
         super().watch(nodes[:2])  # to simulate all of them takes its time
 
-    def controllers(self):
-        return {
+    def controllers(self):  # which send the same as texts
+        return {{
             node: replace(each, health=each.health._replace(message=each.joint))
             for node, each in super().controllers().items()
-        }
+        }}
+
+graph = Hostile({{node: loop_settings(name) for node, name in {JOINTS!r}.items()}})
+"""
 
 
 @pytest.fixture(scope="module")
 def served():
-    server = PageServer(Hostile(), port=0)
+    server = PageProcess(HOSTILE)
     yield server
-    server.stop()
+    server.close()
 
 
 @pytest.fixture
