@@ -304,8 +304,11 @@ class Trials:
         variants: Sequence[Variant],
         *,
         is_kept: bool,
+        start: Mapping[str, float] | None = None,
     ) -> None:
         """Carry out one motion for each variant, and measure them.
+
+        Joints for which it is given where they start go there first.
 
         A motion whose button was released is prepared once more, and begins where the first one
         began: joints that stopped elsewhere go back there first, while the button is held. When
@@ -319,7 +322,7 @@ class Trials:
             return
         self._page, self._stage = page, Stage.PREPARING
         self._is_held = self._is_ignored = False
-        self._end, self._start = "", {}
+        self._end, self._start = "", dict(start or {})
         self._here_at = time.monotonic()
         self.result, self.count = None, len(variants)
         staged = self._session.tuning.staged_sets(nodes)
@@ -339,6 +342,8 @@ class Trials:
                 await self._show(tried_with, found)
             if is_done and self._end:  # while its result was made
                 self._say(self._end, is_bad=True)
+            if is_done and not self._end:
+                self._start = {}  # they are there
             has_set = any(each.values is not None for each in variants)
             if has_set and (self._end or not is_done):
                 await self._set_back(tried, staged)
@@ -357,6 +362,9 @@ class Trials:
     ) -> bool:
         """Carry out and measure one motion after the other, and tell whether all were."""
         try:
+            assert self._folder is not None
+            if not variants:
+                await self._go_back(nodes, wish, "the joints", self._folder / "0")
             for number, variant in enumerate(variants):
                 await self._set(number, variant, tried)
                 found.append(await self._measured(number, nodes, wish, variant))
@@ -421,6 +429,19 @@ class Trials:
                 raise RunError(self._end)
         return measuring.result()
 
+    def away(self, nodes: Sequence[str]) -> str:
+        """Return how far joints are from where the trial that was interrupted began."""
+        parts = []
+        for node, way in zip(nodes, self._ways_back(nodes).values(), strict=True):
+            if abs(way) >= _THERE:
+                unit = "m" if self._session.controllers[node].limits.is_slide else "rad"
+                parts.append(f"{self._session.label(node)} is {abs(way):.3g} {unit}")
+        return f"{', '.join(parts)} from where the motion began" if parts else ""
+
+    async def go_back(self, page: str, nodes: Sequence[str], wish: MotionWish) -> None:
+        """Move joints back there, while the button is held."""
+        await self.run(page, nodes, wish, (), is_kept=False, start=self._start)
+
     async def _go_back(
         self, nodes: Sequence[str], wish: MotionWish, label: str, bag: Path
     ) -> None:
@@ -440,7 +461,7 @@ class Trials:
             place = bag.with_name(f"{bag.name}_back_{attempt}")
             ends = [self._start[joint] for joint in joints]
             motion = HeldMotion(planned, controllers, graph, place, self._within, ends)
-            back = f"{label}, back to where it began"
+            back = f"{label}, back to where the motion began"
             ending = await self._ending(motion, nodes, back, planned.duration)
             if not self._is_kept:
                 shutil.rmtree(place, ignore_errors=True)

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 LATE = 60_000  # [ms]
 NODE = "turn_controller"
-AGAIN = r"(, attempt \d+|, back to where it began)?"
+AGAIN = r"(, attempt \d+|, back to where the motion began)?"
 
 
 @pytest.fixture(scope="module")
@@ -99,10 +99,17 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page, 
     logged(page, "trial: kept, now in force: in force")
 
     page.get_by_role("button", name="Get ready").click()
+    began = positions(harness)[-1]
     hold_until(page, "in force", "moving")
-    page.mouse.up()  # in the middle: it is prepared once more
+    harness.wait(lambda: abs(positions(harness)[-1] - began) > 0.05, what="the joint to move")
+    page.mouse.up()  # in the middle: it goes back, and is prepared once more
     logged(page, of_trial("in force", "stopped: the button was released"))
-    wait_for_rest(harness)
+    assert abs(wait_for_rest(harness) - began) > 0.03
+    back = "in force, back to where the motion began"
+    hold_until(page, back, "moving")
+    said(page, "in force, attempt 2", "ready: let go, then hold the button").wait_for()
+    page.mouse.up()
+    assert positions(harness)[-1] == pytest.approx(began, abs=5e-3)
     page.get_by_role("button", name="Cancel").click()
     logged(page, "trial: cancelled")
 

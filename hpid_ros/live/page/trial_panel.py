@@ -64,6 +64,9 @@ class TrialPanel:
             )
             self._hold.on("pointerdown", js_handler="(event) => window.hpidLive.holdBy(event)")
             self._cancel = button("Cancel", self._on_cancel)
+        with ui.element("div").classes("bar") as self._offer_back:
+            self._away = ui.label().classes("hint")
+            self._back = button("Go back there first", viewer.acting(self._on_back, self.refresh))
         self._said = ui.label().props('aria-live="polite"')
         self._result = ui.element("div").classes("result")
 
@@ -89,6 +92,10 @@ class TrialPanel:
         self._hold.props("aria-disabled=false" if is_ready else "aria-disabled=true")
         self._hold.set_text(self._hold_text())
         self._cancel.set_enabled(not is_idle and stage is not Stage.ENDING)
+        away = self._trials.away(self._viewer.chosen()) if is_idle else ""
+        self._offer_back.set_visibility(bool(away))
+        self._away.set_text(away)
+        self._back.set_enabled(may)
         self._said.set_text(self._trials.said)
         self._said.classes(replace="is-bad" if self._trials.is_bad else "advice")
         if self._trials.result is not self._shown:
@@ -101,7 +108,7 @@ class TrialPanel:
             return "Hold to run"
         if trials.stage is Stage.ENDING:
             return "Ending"
-        which = f"({trials.number} of {trials.count})"
+        which = f"({trials.number} of {trials.count})" if trials.count else "(back)"
         left = trials.seconds_left
         return f"Hold to run {which}" if left is None else f"Hold: {left:.0f} s {which}"
 
@@ -155,6 +162,10 @@ class TrialPanel:
                 self._viewer.page, nodes, self._wish, variants, is_kept=self._is_kept.value
             )
         )
+
+    def _on_back(self) -> None:
+        nodes = self._viewer.chosen()
+        background_tasks.create(self._trials.go_back(self._viewer.page, nodes, self._wish))
 
     def _on_cancel(self) -> None:
         own = "cancelled" if self._viewer.may_edit else f"cancelled on {self._viewer.name}"

@@ -344,7 +344,7 @@ def test_an_interrupted_trial_goes_back_and_begins_again_where_it_began_first():
 
     bench.run(course)
     assert begun == [0.6, 0.6, 0.6]
-    line = "trial: in force, back to where it began: hold the button"
+    line = "trial: in force, back to where the motion began: hold the button"
     assert any(each.text.startswith(line) for each in bench.session.log)
 
 
@@ -364,6 +364,34 @@ def test_a_way_back_that_is_let_go_is_asked_for_again():
     bench.stand(0.6)
     assert bench.run(let_go) == "cancelled"
     assert [each.ends_at for each in bench.motions] == [None, [0.6], [0.6]]
+
+
+def test_a_trial_that_is_cancelled_elsewhere_offers_to_go_back_and_one_that_is_done_does_not():
+    async def cancel(bench):
+        await bench.move()
+        bench.stand(0.65)
+        bench.trials.cancel()
+
+    async def come_back(bench):
+        await bench.move(2)
+        bench.stand(0.6)
+        bench.trials.press(PAGE)
+
+    bench = Bench("")
+    bench.stand(0.6)
+    assert bench.run(cancel) == "cancelled"
+    assert bench.trials.away([NODE]) == "arm_joint_1 is 0.05 rad from where the motion began"
+    assert bench.trials.away([OTHER]) == ""
+
+    async def both():
+        going = bench.trials.go_back(PAGE, [NODE], MotionWish())
+        await asyncio.wait_for(asyncio.gather(going, come_back(bench)), 20.0)
+
+    asyncio.run(both())
+    assert bench.motions[1].ends_at == [0.6]
+    assert bench.trials.said == "done"
+    bench.stand(0.9)  # somebody else has moved it
+    assert bench.trials.away([NODE]) == ""
 
 
 class Tapped(Motion):
