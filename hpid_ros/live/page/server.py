@@ -32,7 +32,6 @@ from urllib.parse import parse_qsl, quote, urlencode
 
 import uvicorn
 from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
-from jinja2 import BaseLoader, Environment
 from nicegui import Client, background_tasks, ui
 from nicegui import app as pages
 from nicegui.client import templates
@@ -83,23 +82,21 @@ _NONCE = "content_policy_nonce"  # in a request's scope, and in NiceGUI's templa
 _NONCE_BYTES = 16
 
 
-class _NonceLoader(BaseLoader):
-    """Gives the scripts of NiceGUI's own templates a nonce, and none that is in their data."""
-
-    def __init__(self, loader: BaseLoader) -> None:
-        self._loader = loader
-
-    def get_source(self, environment: Environment, template: str) -> Any:
-        source, *rest = self._loader.get_source(environment, template)
-        return source.replace("<script", f'<script nonce="{{{{ {_NONCE} }}}}"'), *rest
-
-
 @cache
 def _give_nonces() -> None:
-    """Have NiceGUI write pages whose inline scripts the policy allows."""
+    """Have the inline scripts of NiceGUI's own templates allowed, and none that is in their data.
+
+    Its templates have no place for a nonce: they get one where they are loaded.
+    """
     loader = templates.env.loader
     assert loader is not None
-    templates.env.loader = _NonceLoader(loader)
+    read = loader.get_source
+
+    def with_nonces(environment: Any, template: str) -> Any:
+        source, *rest = read(environment, template)
+        return source.replace("<script", f'<script nonce="{{{{ {_NONCE} }}}}"'), *rest
+
+    vars(loader)["get_source"] = with_nonces
     templates.context_processors.append(lambda request: {_NONCE: request.scope.get(_NONCE, "")})
 
 
