@@ -11,13 +11,13 @@ from hpid_ros.control import Gains
 from hpid_ros.control.reference import Setpoint
 
 MS = 1_000_000
-P, I, D = 10.0, 4.0, 2.0
+KP, KI, KD = 10.0, 4.0, 2.0
 MEASURED = {"velocity_source": "measured"}
 LAWS = [{"law": "pid"}, {"law": "hpid", "mu": -0.2}, {"law": "hpid", "mu": 0.2}]
 SOURCES = ["measured", "filtered", "homogeneous_differentiator"]
 STRATEGIES = ["none", "conditional_integration", "back_calculation"]
 
-settings, loop_on = loops_with(joint="elbow", law="pid", gains=Gains(P, I, D))
+settings, loop_on = loops_with(joint="elbow", law="pid", gains=Gains(KP, KI, KD))
 
 
 def held(loop, samples, position=0.0, velocity=0.0, start=0):
@@ -32,8 +32,8 @@ def test_a_setpoint_kicks_by_the_proportional_term_alone(law, source):
     held(loop, 50)
     loop.follow(Setpoint(1.0))  # at norm 1 all these laws have the same gains
     efforts = held(loop, 5, start=50)
-    assert efforts[0] == pytest.approx(P)
-    assert np.diff(efforts) == pytest.approx(np.full(4, I * 1e-3), abs=1e-6)
+    assert efforts[0] == pytest.approx(KP)
+    assert np.diff(efforts) == pytest.approx(np.full(4, KI * 1e-3), abs=1e-6)
 
 
 @pytest.mark.parametrize("source", SOURCES)
@@ -62,20 +62,20 @@ def test_an_integral_stays_within_clamps_that_differ_and_leaves_them_at_once(str
     assert loop.integral == pytest.approx(reached)
     loop.follow(Setpoint(-side))
     held(loop, 1, start=3000)
-    assert loop.integral == pytest.approx(reached - side * I * 1e-3)
+    assert loop.integral == pytest.approx(reached - side * KI * 1e-3)
 
 
 def test_integral_clamps_that_nobody_gave_do_not_switch_the_integral_off():
     loop = loop_on(Setpoint(0.5), antiwindup_strategy="none")
     held(loop, 1001)
-    assert loop.integral == pytest.approx(I * 0.5 * 1.0)
+    assert loop.integral == pytest.approx(KI * 0.5 * 1.0)
 
 
 @pytest.mark.parametrize("clamps", [(-2.0, -1.0), (1.0, 2.0), (0.0, 0.0)])
 def test_without_an_integral_gain_its_clamps_are_neither_an_effort_nor_nan(clamps):
     low, high = clamps
-    loop = loop_on(Setpoint(0.5), gains=Gains(P, 0.0, D), i_clamp_min=low, i_clamp_max=high)
-    assert held(loop, 100) == pytest.approx(np.full(100, 0.5 * P))
+    loop = loop_on(Setpoint(0.5), gains=Gains(KP, 0.0, KD), i_clamp_min=low, i_clamp_max=high)
+    assert held(loop, 100) == pytest.approx(np.full(100, 0.5 * KP))
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES[1:])
@@ -106,7 +106,7 @@ def test_a_saturated_motion_overshoots_no_more_than_one_whose_integral_has_settl
 
 def test_another_integral_gain_moves_no_effort():
     loop = loop_on(Setpoint(1.0))
-    before, gain = held(loop, 500, 0.5)[-1], I
+    before, gain = held(loop, 500, 0.5)[-1], KI
     for count, another in enumerate((40.0, 0.4, 4000.0)):
         loop.retune(loop.settings.with_parameters({"gains.i": another}))
         (after,) = held(loop, 1, 0.5, start=500 + count)
@@ -141,8 +141,8 @@ def test_the_shortest_time_between_states_is_no_endless_velocity(source, dt_ns):
     held(loop, 100)
     resolution = 1e-4
     effort = loop.step(99 * MS + dt_ns, resolution, 0.0)
-    slow = D * resolution / loop.settings.velocity.filter_time_constant
-    assert abs(effort) <= P * resolution + slow + 0.1
+    slow = KD * resolution / loop.settings.velocity.filter_time_constant
+    assert abs(effort) <= KP * resolution + slow + 0.1
 
 
 @pytest.mark.parametrize("back_ns", [1, MS, 10**12])
@@ -151,7 +151,7 @@ def test_a_time_that_goes_back_moves_no_effort(back_ns):
     effort = held(loop, 100, 0.5)[-1]
     assert loop.step(99 * MS - back_ns, 0.5, 0.0) == effort
     (after,) = held(loop, 1, 0.5, start=100)
-    assert after - effort == pytest.approx(I * 0.5 * 1e-3, abs=1e-9)
+    assert after - effort == pytest.approx(KI * 0.5 * 1e-3, abs=1e-9)
 
 
 @pytest.mark.parametrize("pause", [1, 60, 3600])
@@ -184,4 +184,4 @@ def test_a_driver_whose_velocity_is_its_limit_does_no_harm_where_velocities_are_
         loop_on(Setpoint(0.0), velocity_source=source) for source in ("filtered", "measured")
     )
     assert held(computed, 100, 0.0, 1.5) == [0.0] * 100
-    assert held(believing, 100, 0.0, 1.5)[-1] == pytest.approx(-D * 1.5)
+    assert held(believing, 100, 0.0, 1.5)[-1] == pytest.approx(-KD * 1.5)

@@ -1,4 +1,4 @@
-"""What people reported of parameters, tried on one real controller: integers, NaN, types, ranges."""
+"""What people reported of parameters, tried on one real controller."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What people reported of drivers' states, sent to one real controller: NaN, zeros, orders, sizes."""
+"""What people reported of drivers' states, sent to one real controller."""
 
 import math
 
