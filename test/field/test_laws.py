@@ -185,3 +185,20 @@ def test_a_driver_whose_velocity_is_its_limit_does_no_harm_where_velocities_are_
     )
     assert held(computed, 100, 0.0, 1.5) == [0.0] * 100
     assert held(believing, 100, 0.0, 1.5)[-1] == pytest.approx(-KD * 1.5)
+
+
+def test_a_simulation_that_begins_again_begins_with_nothing_in_the_integral():
+    """Wound up before, at its target afterwards: nothing moves."""
+    loop = loop_on(Setpoint(0.0), gains=Gains(0.0, 10.0, 0.0), state_clock="simulated")
+    assert abs(held(loop, 3000, 1.5)[-1]) > 40.0
+    assert held(loop, 500, 0.0, start=1) == [0.0] * 500
+    assert loop.counts.resets == 1
+
+
+def test_states_of_a_robot_that_is_switched_off_wind_up_what_its_clamps_allow():
+    """Frozen positions with new stamps look like a load; no controller can tell them from one."""
+    loop = loop_on(Setpoint(0.3), i_clamp_max=2.0, i_clamp_min=-2.0)
+    held(loop, 5000)
+    assert loop.integral == 2.0
+    loop.release()  # a deactivation
+    assert held(loop, 100, 0.1, start=6000) == [0.0] * 100
