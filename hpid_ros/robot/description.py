@@ -21,11 +21,12 @@ from hpid_ros.base.units import Numbers
 from hpid_ros.control.settings import LoopSettings
 
 _FILE, _PACKAGE = "file://", "package://"
+_BEFORE_XML = "\ufeff \t\r\n"  # editors write a byte order mark, launch files read it as text
 
 
 def robot_source(source: str, folders: Sequence[Path] = ()) -> str | Path:
     """Return a URDF's text as it is, and where the file is that anything else names."""
-    return source if source.lstrip().startswith("<") else find_resource(source, folders)
+    return source if source.lstrip(_BEFORE_XML).startswith("<") else find_resource(source, folders)
 
 
 def find_mesh(filename: str, folder: Path | None) -> Path | None:
@@ -370,13 +371,13 @@ class RobotDescription:
 
     @classmethod
     def load(cls, source: str | Path) -> RobotDescription:
-        if isinstance(source, str) and source.lstrip().startswith("<"):
-            return _parse(source.lstrip(), "robot description", None)
+        if isinstance(source, str) and source.lstrip(_BEFORE_XML).startswith("<"):
+            return _parse(source.lstrip(_BEFORE_XML), "robot description", None)
         path = Path(source)
         if not path.exists():
             raise RobotDescriptionError(f"robot description {path} does not exist")
         text = read_text(path, LARGEST_FILE, RobotDescriptionError)
-        return _parse(text.lstrip("\ufeff \t\r\n"), str(path), path.resolve().parent)
+        return _parse(text.lstrip(_BEFORE_XML), str(path), path.resolve().parent)
 
     def select(self, names: Iterable[str]) -> tuple[JointDescription, ...]:
         """Return the joints of the given names, in their order, as what uses them needs them."""
