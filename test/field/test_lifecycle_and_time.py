@@ -94,3 +94,32 @@ def test_a_controller_that_waits_for_a_paused_simulation_begins_when_that_does(m
     assert module_harness.ask(10**15, 1.2, joint="wrist") == 0.0
     effort = module_harness.ask(10**15 + MS, 1.1, joint="wrist")
     assert effort == pytest.approx(1.0)
+
+
+def test_states_that_are_rarer_than_state_timeout_allows_are_named_with_what_to_set(
+    module_harness,
+):
+    """Each of them would be called lost and found again, and nobody would know why."""
+    told, name, joint = Told(module_harness, "slow_controller"), "slow_controller", "slow"
+    process = module_harness.start_controller(name, joint, state_clock="wall", state_timeout=0.1)
+    line = "states come more slowly than control_period = 0.001 s says, and than state_timeout"
+    due, period = time.monotonic(), 1.0 / 7.0
+
+    def is_named():
+        nonlocal due
+        if time.monotonic() >= due:
+            due += period
+            module_harness.publish(time.time_ns(), 0.3, joint=joint)
+        return line in told.newest().get("message", "")
+
+    module_harness.wait(is_named, what="the warning")
+    assert process.log.read_text().count(line) == 1
+    assert "set both to the robot's" in told.newest()["message"]
+    slower = {"control_period": period, "state_timeout": 0.5}
+    assert module_harness.set_parameters(name, **slower) == (True, "")
+
+    def is_followed():
+        is_named()
+        return told.newest()["message"] == "holding its position"
+
+    module_harness.wait(is_followed, what="it to be controlled at this rate")

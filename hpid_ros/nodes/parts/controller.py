@@ -6,6 +6,7 @@ Every irregularity is counted and named.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -291,6 +292,8 @@ class LoopTiming:
         }
 
 
+_MANY_GAPS = 2  # within a report; one may be a standstill
+_LONG_ENOUGH = 0.9  # of the time between two reports, to count in
 _NO_LIMIT = 1e6  # as the parameters say it
 _MANY_MISSED = 0.5  # of the states of a report
 _REFUSAL_REPORTS = 30  # in which a reference that was refused is named, if no good one comes
@@ -323,6 +326,7 @@ class ControllerHealth(Diagnostics):
         self._samples = 0  # at the last report
         self._missed = self._held = 0
         self.scheduling = ""
+        self._gaps, self._slow, self._slowness_at = 0, "", time.monotonic()
 
     def unit(self, text: str) -> str:
         return of_slide(text) if self._is_slide else text
@@ -460,10 +464,23 @@ class ControllerHealth(Diagnostics):
         return ""
 
     def _slowness(self) -> str:
-        """Return a warning when most states of the last report seem lost."""
-        missed = self._loop.counts.missed - self._missed
-        self._missed += missed
-        period = self._loop.settings.timing.control_period
-        if missed < _MANY_MISSED * self.period / period:
-            return ""
-        return f"states come more slowly than control_period = {period:g} s says"
+        """Return a warning when most states of the last second seem lost, or come too late."""
+        now = time.monotonic()
+        elapsed = now - self._slowness_at
+        if elapsed < _LONG_ENOUGH * self.period:  # a timeout is reported in between
+            return self._slow
+        counts, timing = self._loop.counts, self._loop.settings.timing
+        missed, gaps = counts.missed - self._missed, counts.gaps - self._gaps
+        self._missed, self._gaps, self._slowness_at = counts.missed, counts.gaps, now
+        before, self._slow = self._slow, ""
+        if missed >= _MANY_MISSED * elapsed / timing.control_period:
+            period = f"control_period = {timing.control_period:g} s"
+            self._slow = f"states come more slowly than {period} says"
+            if gaps >= _MANY_GAPS:
+                self._slow += (
+                    f", and than state_timeout = {timing.state_timeout:g} s allows: "
+                    f"set both to the robot's"
+                )
+                if "state_timeout" not in before:
+                    self._node.get_logger().warning(self._slow)
+        return self._slow
