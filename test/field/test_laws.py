@@ -9,6 +9,7 @@ from harness.loops import Joint, drive, loops_with
 
 from hpid_ros.control import Gains
 from hpid_ros.control.reference import Setpoint
+from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000
 KP, KI, KD = 10.0, 4.0, 2.0
@@ -202,3 +203,15 @@ def test_states_of_a_robot_that_is_switched_off_wind_up_what_its_clamps_allow():
     assert loop.integral == 2.0
     loop.release()  # a deactivation
     assert held(loop, 100, 0.1, start=6000) == [0.0] * 100
+
+
+def test_positions_that_are_published_faster_than_they_are_read_shake_computed_velocities():
+    """Each position comes twice, with new stamps; what the driver measures is smooth."""
+    ripple = {}
+    for source in ("measured", "filtered"):
+        loop = loop_on(velocity_source=source, control_period=0.01)
+        loop.follow(Column("elbow", (Knot(0, 0.0, 1.0), Knot(10_000 * MS, 10.0, 1.0))))
+        efforts = [loop.step(10 * k * MS, 0.02 * (k // 2), 1.0) for k in range(300)]
+        ripple[source] = np.abs(np.diff(efforts[100:])).max()
+    assert ripple["measured"] < 0.03 * KP
+    assert 10.0 * ripple["measured"] < ripple["filtered"] <= 2.0 * KD * 1.0 + 0.03 * KP
