@@ -96,9 +96,7 @@ def test_a_controller_that_waits_for_a_paused_simulation_begins_when_that_does(m
     assert effort == pytest.approx(1.0)
 
 
-def test_states_that_are_rarer_than_state_timeout_allows_are_named_with_what_to_set(
-    module_harness,
-):
+def test_states_that_are_too_rare_are_named_with_what_to_set(module_harness):
     """Each of them would be called lost and found again, and nobody would know why."""
     told, name, joint = Told(module_harness, "slow_controller"), "slow_controller", "slow"
     process = module_harness.start_controller(name, joint, state_clock="wall", state_timeout=0.1)
