@@ -47,6 +47,6 @@ def test_a_row_has_four_cells_and_names_a_test_that_there_is(row):
 
 
 def test_no_report_stands_twice():
-    """Whoever the repository belongs to: some have moved."""
+    """The owner of a repository does not count: some have moved."""
     reports = [cells_of(row)[0].lower().rpartition("/")[2] for row in ROWS]
     assert sorted(reports) == sorted(set(reports))
