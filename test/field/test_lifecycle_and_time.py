@@ -44,9 +44,10 @@ def test_without_a_clock_a_controller_with_simulated_time_answers_states(robot):
 @pytest.mark.parametrize("place", [-2.0, 0.0, 3.0])
 def test_an_activated_controller_holds_where_the_joint_is_now(robot, place):
     """Not at zero, not where it was before, and with nothing in its integral."""
+    ask(robot, 1.0)
     for _ in range(30):
-        ask(robot, 1.0)
-        assert ask(robot, 0.2) != 0.0
+        effort = ask(robot, 0.95)
+    assert abs(effort) > 0.5  # it holds the joint elsewhere, with an integral
     assert change(robot, "deactivate")
     assert change(robot, "activate")
     robot.wait(lambda: robot.states.get_subscription_count() > 0, what="it to listen")
