@@ -77,7 +77,7 @@ def test_a_motor_without_feedback_gets_no_effort_until_it_has_some(driver):
     for state in ((math.nan, 0.0), (0.5, math.nan), (math.nan, math.nan), (math.inf, 0.0)):
         driver.hold(5, 0.5)
         assert driver.hold(4, *state) == 0.0
-        assert driver.hold(5, 0.45) > 0.49  # as if nothing had been
+        assert driver.hold(5, 0.49) > 0.09  # as if nothing had been
 
 
 def test_velocities_that_are_always_zero_are_named_as_soon_as_the_joint_moves(driver):
