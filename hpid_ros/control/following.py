@@ -184,7 +184,10 @@ class Following:
     )
 
     def __init__(self) -> None:
-        self.motion: Motion | None = None
+        self.motion: Motion | None = None  # the newest that came
+        self._arrived: tuple[Motion, ...] = ()  # since the last sample
+        self._waiting: tuple[Motion, ...] = ()  # those that begin later, in that order
+        self._active: Motion | None = None  # what the reference is of
         self.has_waited = False  # a setpoint, for the first state or a takeover
         self.turn = self.encoder_turn = 0.0
         self.restart()
@@ -208,11 +211,10 @@ class Following:
 
     def restart(self) -> None:
         """Forget where the reference stands, and start the newest motion again."""
-        self._arrived: tuple[Motion, ...] = () if self.motion is None else (self.motion,)
-        self._waiting: tuple[Motion, ...] = ()  # those that begin later, in that order
+        self._arrived = () if self.motion is None else (self.motion,)
+        self._waiting, self._active = (), None
         self.has_waited = isinstance(self.motion, Setpoint)
         self._reference: Reference | None = None
-        self._active: Motion | None = None  # what the reference is of
         self._glide: Glide | None = None
         self._offset = _NONE
         self._hull = -math.inf, math.inf  # [rad] where motion and offset may lead
