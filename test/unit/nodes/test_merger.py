@@ -338,13 +338,13 @@ def test_a_joint_that_was_silent_over_a_reset_comes_back_with_the_new_clock_alon
 
 def test_stamps_of_a_second_sender_are_no_reset():
     """It stamps nothing: the others are believed as before."""
-    robot = over_a_reset()
-    robot.merger.__init__(robot.merger.settings)
+    robot = Robot()
     for k in range(50):
-        robot.take("shoulder", 10 * TIMEOUT + k * PERIOD, 1.0)
+        stamp = 10 * TIMEOUT + k * PERIOD
+        robot.take("shoulder", stamp, 1.0)
         robot.take("shoulder", 0, 2.0)
-        robot.take("elbow", 10 * TIMEOUT + k * PERIOD, 1.0)
-        robot.take("wrist", 10 * TIMEOUT + k * PERIOD, 1.0)
+        robot.take("wrist", stamp - PERIOD, 1.0)
+        robot.take("elbow", stamp, 1.0)
         robot.wait(PERIOD if k % 10 else 2 * TIMEOUT)
     assert not any(each.outdated for each in robot.merger.counts.values())
     assert not robot.merger.silent
