@@ -15,10 +15,8 @@ _CONTROLLER = "_controller"
 _OTHER = re.compile("[^A-Za-z0-9_]")
 _ESCAPE = re.compile("(?:^|_)((?:u[0-9a-f]{4,6}_)+)")
 _LOOKS_ESCAPED = re.compile("u[0-9a-f]{4,6}(?:_|[^A-Za-z0-9_])")
-_LONGEST_NODE, _SHOWN = (
-    200,
-    60,
-)  # characters; with a service and its reply behind it, DDS allows 255
+_LONGEST_NODE = 200  # characters; with a service and its reply behind it, DDS allows 255
+_SHOWN = 60  # characters
 
 
 def node_word(text: str) -> str:
