@@ -234,7 +234,7 @@ MODELLED = {
         ("joint_controller", ["--bogus"], "--bogus"),
         ("joint_controller", ["-p", "joint"], "parameter override"),
         ("joint_controller", {"joint": "a", "introspection_rate": ".nan"}, "not nan"),
-        ("joint_controllers", {"joints": "[a b]"}, "'a b_controller'"),
+        ("joint_controllers", {"joints": f"[{'a' * 191}]"}, "cannot have a node: its name"),
         ("joint_controllers", {"joints": "[a]", "gain.p": 1.0}, "'gains.p'"),
         ("mujoco_bridge", {"duration": ".nan"}, "duration must lie in"),
         ("mujoco_bridge", {"wrench_duration": ".nan"}, "wrench_duration must lie in"),
