@@ -68,10 +68,10 @@ def bursts(messages, count=BURST):
 
 
 def test_a_controller_under_fuzzed_references(harness, faults):
-    """At rest all that moves its effort are the references, which it may follow at 4 rad/s."""
+    """At rest all that moves its effort are the references, by no more than its rate allows."""
     limits = {"u_clamp_max": 20.0, "u_clamp_min": -20.0, "position_max": 2.0, "position_min": -2.0}
     started = harness.start_controller(
-        law="pid", gains__p=10.0, gains__i=0.0, gains__d=1.0, takeover_time=0.5, **limits
+        law="pid", gains__p=10.0, gains__i=0.0, gains__d=1.0, effort_rate_max=1000.0, **limits
     )
     watched = Watched(started.process, "controller", faults)
     references = TrajectoryFuzzer(["elbow"], seed=4)
@@ -91,6 +91,7 @@ def test_a_controller_under_fuzzed_references(harness, faults):
     found = np.array(efforts)
     assert np.all(np.abs(found) <= 20.0)
     steps = np.abs(np.diff(found))
+    assert steps.max() <= 1.0 + 1e-9  # 1000 N m/s in a millisecond
     faults.count("largest step of effort [mN m]: controller", 1e3 * steps.max())
     watched.end()
 
