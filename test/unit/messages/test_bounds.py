@@ -120,6 +120,20 @@ def test_a_count_that_the_message_cannot_hold_is_refused(kind, at):
     assert error is None or "\n" not in str(error)
 
 
+@pytest.mark.parametrize("count", [1000, 2**20, 2**32 - 1])
+def test_a_recording_holds_what_its_bytes_have_room_for(count):
+    """Where no bound but the bytes holds: eight points, or names, that say they are more."""
+    claimed = struct.pack("<I", count)
+    points, names = without_numbers(8, 0), without_numbers(0, 8)
+    for raw, what in (
+        (points[: -8 * 24 - 4] + claimed + points[-8 * 24 :], "points"),
+        (names[: -9 * 4 - 4] + claimed + names[-9 * 4 :], "names"),
+    ):
+        peak, error = peak_of(lambda each: decode_trajectory(each, RECORDED), raw)
+        assert f"cannot hold {count} {what}" in str(error)
+        assert peak < REST
+
+
 def test_what_a_node_takes_is_bounded_and_a_recording_is_not():
     names = [f"j{k}" for k in range(LIVE.names + 1)]
     state = head(names) + bytes(12)
