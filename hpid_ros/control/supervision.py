@@ -15,6 +15,10 @@ from hpid_ros.control.overrides import DampingStop
 
 _CHECKS_PER_TIMEOUT = 4.0
 _SHORTEST_PERIOD = 1e-3  # [s] between two looks
+_STOOD_NS = 20_000_000  # [ns] without a look beyond the period: the process stood still
+_CATCH_UP_NS = 100_000_000  # [ns] for the states that wait to come to the loop's thread then
+_STUCK_NS = 250_000_000  # [ns] beyond that, for the loop's thread to take them
+_FREEZES = 3  # in one wait; after more of them it is over as it would be without
 LATE_NS = 10_000_000
 """By no more than this a state may be later than those before a silence, in [ns]."""
 _PACE, _SEEN_NS = 1.5, 50_000_000  # states that were waiting come faster, seen for so long
@@ -41,10 +45,15 @@ class StateTimeout(NamedTuple):
 class _Wait:
     """The time since a new state; either thread marks what it has done about it."""
 
-    __slots__ = ("begin_ns", "is_answered", "is_noticed")
+    __slots__ = (
+        *("begin_ns", "is_answered", "is_asked", "is_caught_up", "is_noticed"),
+        *("not_before_ns", "freezes"),
+    )
 
     def __init__(self, begin_ns: int) -> None:
-        self.begin_ns = begin_ns
+        self.begin_ns = self.not_before_ns = begin_ns  # before that it is no timeout
+        self.is_asked = self.is_caught_up = True  # the loop's thread has taken what waited
+        self.freezes = 0
         self.is_answered = False  # an effort was given for want of a state
         self.is_noticed = False  # the loop was told
 
@@ -60,6 +69,11 @@ class Watchdog:
     may ask: one that gives the effort, which nothing may delay (:meth:`is_silent`,
     :meth:`time_left`), and the one of the loop, to which it is told (:meth:`look`). All times are
     of one steady clock, in [ns].
+
+    Each thread looks once in a :attr:`period`. Where neither has for longer, the process stood
+    still: states wait, and whichever thread is first, they are taken before a timeout is believed.
+    It is one when a tenth of a second has passed and the loop's thread, asked then
+    (:meth:`asks`, :meth:`catch_up`), has taken all that waited.
     """
 
     def __init__(self) -> None:
@@ -73,6 +87,7 @@ class Watchdog:
         self._wait: _Wait | None = None  # None before the first state
         self._stamp_ns: int | None = None
         self._repeats = 0  # of the last stamp
+        self._seen_ns = 0  # when a thread looked last
 
     @property
     def period(self) -> float:
@@ -87,16 +102,45 @@ class Watchdog:
         timeout, wait = self.timeout, self._wait  # another thread may change them
         if timeout is None:
             return math.inf
-        left = timeout - (wait.duration(now_ns) if wait else 0.0)
-        return self.period if left < 0.0 else left
+        if wait is None:
+            return self.period
+        not_yet = (wait.not_before_ns - now_ns) / NANOSECONDS
+        left = max(timeout - wait.duration(now_ns), not_yet)
+        return self.period if left < 0.0 else min(left, self.period)
 
     def is_silent(self, now_ns: int) -> bool:
         """Return whether states are missing; whoever asks gives an effort then."""
-        timeout, wait = self.timeout, self._wait  # another thread may change them
-        if timeout is None or wait is None or wait.duration(now_ns) <= timeout:
+        timeout, wait = self.timeout, self._seen(now_ns)
+        if timeout is None or wait is None or not _is_over(wait, timeout, now_ns):
             return False
         wait.is_answered = True
         return True
+
+    def _seen(self, now_ns: int) -> _Wait | None:
+        """Note that a thread looks, and return the wait; after a standstill it is not over yet."""
+        wait, seen_ns = self._wait, self._seen_ns
+        has_stood = now_ns - seen_ns > self.period * NANOSECONDS + _STOOD_NS
+        if has_stood and wait is not None and wait.freezes < _FREEZES:
+            wait.freezes += 1
+            wait.not_before_ns = now_ns + _CATCH_UP_NS
+            wait.is_asked = wait.is_caught_up = False
+        # Last: until here the other thread finds out the same by itself.
+        self._seen_ns = max(seen_ns, now_ns)
+        return wait
+
+    def asks(self, now_ns: int) -> bool:
+        """Return whether the loop's thread is to call :meth:`catch_up`, behind all that waits."""
+        wait = self._wait  # another thread may change it
+        if wait is None or wait.is_asked or now_ns < wait.not_before_ns:
+            return False
+        wait.is_asked = True
+        return True
+
+    def catch_up(self) -> None:
+        """Note, on the loop's thread, that it has taken all states that had waited."""
+        wait = self._wait
+        if wait is not None and wait.is_asked:
+            wait.is_caught_up = True
 
     def wake(self, now_ns: int) -> bool:
         """Note that the process was stopped; tell whether the states had been silent before."""
@@ -104,13 +148,13 @@ class Watchdog:
         if wait is None:
             return False
         if not wait.is_answered:
-            self._wait = _Wait(now_ns)
+            self._wait, self._seen_ns = _Wait(now_ns), now_ns
         return wait.is_answered
 
     def look(self, now_ns: int) -> StateTimeout | None:
         """Return the silence that there is."""
-        wait = self._wait
-        if self.timeout is None or wait is None or wait.duration(now_ns) <= self.timeout:
+        timeout, wait = self.timeout, self._seen(now_ns)
+        if timeout is None or wait is None or not _is_over(wait, timeout, now_ns):
             return None
         is_new, wait.is_noticed = not wait.is_noticed, True
         return StateTimeout(wait.duration(now_ns), is_new)
@@ -134,16 +178,25 @@ class Watchdog:
         Return the silence that nobody has reported yet, if any, and whether there was one in
         which nobody gave another effort.
         """
+        before = self._seen(now_ns)
         if stamp_ns == self._stamp_ns:
             self._repeats += 1
             return None, False
-        before, self._wait, self._stamp_ns = self._wait, _Wait(now_ns), stamp_ns
+        self._wait, self._stamp_ns = _Wait(now_ns), stamp_ns
         self._repeats = 0
         if self.timeout is None or before is None or before.is_noticed:
             return None, False
         if before.is_answered:
             return StateTimeout(before.duration(now_ns), True), False
         return None, before.duration(now_ns) > self.timeout
+
+
+def _is_over(wait: _Wait, timeout: float, now_ns: int) -> bool:
+    """Return whether a wait is a timeout."""
+    if wait.duration(now_ns) <= timeout:
+        return False
+    over_ns = now_ns - wait.not_before_ns
+    return wait.is_answered or (over_ns >= 0 and wait.is_caught_up) or over_ns > _STUCK_NS
 
 
 class SupervisedLoop:

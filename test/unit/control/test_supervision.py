@@ -31,6 +31,7 @@ class Joint(SupervisedLoop):
         self.watchdog.timeout = TIMEOUT
         self.now = 10**9
         self.active = 0.0
+        self.is_stuck = False  # the executor
 
     def states(self, count=1, answer=None):
         """States come every millisecond; return the last effort."""
@@ -43,11 +44,23 @@ class Joint(SupervisedLoop):
     def wait(self, seconds, *, looks=(), gives=False):
         """No state comes; the executor looks at these times, the supervisor all the time."""
         begin = self.now
-        for each in looks:
-            self.look(begin + round(each * 1e9))
-        self.now = begin + round(seconds * 1e9)
-        if gives and self.watchdog.is_silent(self.now):
+        end, due = begin + round(seconds * 1e9), [begin + round(each * 1e9) for each in looks]
+        while gives and self.now < end:
+            left = round(self.watchdog.time_left(self.now) * 1e9)
+            self.now = min(self.now + left + 1, end)
+            while due and due[0] <= self.now:
+                self.look(due.pop(0))
+            self.supervise()
+        self.now = end
+        if gives:
+            self.supervise()
+
+    def supervise(self):
+        """The supervisor looks now."""
+        if self.watchdog.is_silent(self.now):
             self.active = self.timeout_effort
+        if self.watchdog.asks(self.now) and not self.is_stuck:
+            self.watchdog.catch_up()
 
 
 def settled(**parameters):
@@ -87,7 +100,8 @@ def test_a_freeze_of_the_supervisor_too_ends_with_the_active_effort():
 
 def test_an_effort_given_just_before_a_state_is_what_the_loop_takes_over_from():
     joint = settled(fallback_effort=1.5)
-    joint.wait(0.06)
+    joint.wait(0.045, gives=True)
+    joint.now += 15 * MS
     joint.note_past_timeout(joint.now)  # nobody has given anything yet
     assert joint.watchdog.is_silent(joint.now)  # now somebody has
     assert joint.answer(joint.now, 0.3, 0.0, joint.now) == pytest.approx(1.5, abs=0.05)
@@ -237,11 +251,14 @@ def test_a_watchdog_says_when_to_look_again():
     assert watchdog.time_left(0) == math.inf
     assert not watchdog.is_silent(10**12)
     watchdog.timeout = 0.1
-    assert watchdog.time_left(0) == 0.1  # nothing has come yet
+    assert watchdog.time_left(0) == watchdog.period == 0.025  # nothing has come yet
     assert not watchdog.is_silent(10**12)
     watchdog.observe(1, 10**9)
-    assert watchdog.time_left(10**9 + 40 * MS) == pytest.approx(0.06)
-    assert watchdog.time_left(10**9 + 200 * MS) == watchdog.period == 0.025
+    assert watchdog.time_left(10**9 + 40 * MS) == 0.025
+    assert watchdog.time_left(10**9 + 90 * MS) == pytest.approx(0.01)
+    assert watchdog.time_left(10**9 + 200 * MS) == 0.025
+    for k in range(1, 10):
+        assert not watchdog.is_silent(10**9 + 10 * k * MS)
     assert watchdog.is_silent(10**9 + 101 * MS)
     watchdog.forget()
     assert not watchdog.is_silent(10**9 + 101 * MS)
@@ -272,3 +289,63 @@ def test_stamps_stand_still_where_one_comes_again_and_again(stamp_ns, line):
     assert watchdog.standstill(200 * MS, 0.1) == line
     watchdog.observe(stamp_ns + 1, 201 * MS)
     assert watchdog.standstill(10**9, 0.1) == ""
+
+
+FREEZES = st.sampled_from([0.05, 0.09, 0.2, 1.2, 3.0, 10.0])
+
+
+@given(
+    FREEZES,
+    st.lists(st.sampled_from(["executor", "supervisor"]), max_size=8),
+    st.floats(0.0, 0.09),
+)
+def test_states_that_wait_are_taken_before_a_timeout_is_believed(length, looks, late):
+    """Whichever thread is first after a freeze, and however often, until the states are read."""
+    joint = settled(fallback_effort=1.5)
+    joint.wait(0.01, gives=True)
+    joint.now += round(length * 1e9)
+    for each in looks:
+        joint.now += round(late * 1e9 / len(looks))
+        joint.supervise() if each == "supervisor" else joint.look(joint.now)
+    before = joint.active
+    assert before == pytest.approx(4.0, abs=0.05)
+    assert joint.states() == pytest.approx(before, abs=0.1)
+    joint.states(20)
+    assert joint.fallbacks == []
+
+
+@given(FREEZES, st.booleans())
+def test_a_robot_whose_states_ended_in_a_freeze_gets_the_fallback_after_it(length, is_stuck):
+    joint = settled(fallback_effort=1.5)
+    joint.is_stuck = is_stuck
+    joint.now += round(length * 1e9)
+    thawed = joint.now
+    while joint.active != 1.5:
+        joint.supervise()
+        joint.now += round(joint.watchdog.time_left(joint.now) * 1e9) + 1
+    assert joint.now - thawed <= (0.1 + 0.25 * is_stuck + TIMEOUT) * 1e9
+    joint.look(joint.now)
+    assert joint.fallbacks == [1.5]
+
+
+def test_a_loop_that_has_fallen_behind_takes_what_waits_before_a_timeout_is_believed():
+    """Its thread is the last to run again, and has much else to do."""
+    joint = settled(fallback_effort=1.5)
+    joint.is_stuck = True
+    joint.now += 1200 * MS
+    begun = joint.now
+    while joint.now < begun + 300 * MS:
+        joint.supervise()
+        joint.now += round(joint.watchdog.time_left(joint.now) * 1e9) + 1
+    assert joint.states() == pytest.approx(4.0, abs=0.1)
+    assert joint.fallbacks == []
+
+
+def test_a_machine_that_hardly_runs_the_process_delays_the_fallback_by_a_few_looks():
+    """Each look comes late, as after a standstill; the states have ended."""
+    joint = settled(fallback_effort=1.5)
+    for _ in range(4):
+        joint.now += 500 * MS
+        assert joint.active == pytest.approx(4.0, abs=0.05)
+        joint.supervise()
+    assert joint.active == 1.5
