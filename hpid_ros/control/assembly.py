@@ -14,6 +14,7 @@ from hpid_ros.control.settings import (
     LoopSettings,
     VelocitySettings,
 )
+from hpid_ros.control.sources import SourceBounds, source_bounds
 from hpid_ros.control.velocity import (
     FilteredVelocity,
     HomogeneousDifferentiator,
@@ -97,6 +98,18 @@ def make_velocity_source(settings: VelocitySettings) -> VelocitySource:
 def make_unwrapper(settings: EncoderSettings) -> Unwrapper | None:
     """Return what makes the positions continuous; None where the encoder does not wrap."""
     return Unwrapper(settings.wrap) if settings.wrap > 0.0 else None
+
+
+def bounds_of_source(settings: LoopSettings) -> SourceBounds:
+    """Return what the states of one source may do, by the settings of a joint."""
+    encoder, timing = settings.encoder, settings.timing
+    return source_bounds(
+        resolution=encoder.resolution,
+        step_max=encoder.step_max,
+        wrap=encoder.wrap,
+        timeout=timing.state_timeout,
+        is_simulated=timing.is_simulated,
+    )
 
 
 def turn_of_references(settings: LoopSettings) -> float:

@@ -9,6 +9,7 @@ from enum import Enum
 from hpid_ros.base.errors import EndedError, SettingError, TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.control.assembly import (
+    bounds_of_source,
     feedforward_gains,
     largest_step,
     make_unwrapper,
@@ -29,6 +30,7 @@ from hpid_ros.control.reference import (
     require_timely,
 )
 from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.sources import SourceWatch
 
 
 class LoopState(Enum):
@@ -40,6 +42,7 @@ class LoopState(Enum):
     usable state           HOLDING, or FOLLOWING where there is a motion
     state refused          FAULT, SILENT stays SILENT; the first jump of a position changes none
     ``note_timeout``       SILENT
+    two sources of states  CONFLICT, until one of them has ended: then a takeover
     ``reset``              WAITING: the next usable state is the first; so after a simulated clock
                            went back
     =====================  ====================================================================
@@ -54,6 +57,7 @@ class LoopState(Enum):
     FOLLOWING = "following a reference"
     FAULT = "the last state could not be used"
     SILENT = "no new state within state_timeout"
+    CONFLICT = "its states come from two sources"
 
 
 @dataclass
@@ -67,9 +71,11 @@ class LoopCounts:
     silences: int = 0  # times in which no state came for longer than state_timeout
     takeovers: int = 0
     jumps: int = 0  # states rejected because no joint can have moved that far
+    conflicts: int = 0  # times in which the states came from two sources
     missed: int = 0  # states that must have been lost, by the stamps and control_period
     saturated: int = 0  # samples whose effort was limited
-    rejected: int = 0  # states that no law answered: faults, jumps, the first after a gap
+    # states that no law answered: faults, jumps, conflicts, the first after a gap
+    rejected: int = 0
 
 
 _NO_MODEL = ModelTerm(1.0, 0.0)
@@ -91,6 +97,10 @@ class JointLoop:
     gap, and on a wall clock a stamp that goes back, is believed with its second state: the first
     gets the active effort, so that a single wrong stamp leaves nothing behind.
 
+    While the states come from two sources (:class:`~hpid_ros.control.sources.SourceWatch`) nobody
+    can tell where the joint is: each gets ``fallback_effort``. When one source has ended, the loop
+    takes over again.
+
     Args:
         settings: Checked settings.
     """
@@ -110,6 +120,7 @@ class JointLoop:
         self._law = LimitedLaw(settings)
         self._feedforward = Feedforward(feedforward_gains(settings))
         self._unwrapper = make_unwrapper(settings.encoder)
+        self._sources = SourceWatch(bounds_of_source(settings))
         self._adopt(settings)
         self.reset()
 
@@ -119,6 +130,7 @@ class JointLoop:
         self._takeover_time = settings.timing.takeover_time
         self._uses_velocity = settings.velocity.is_measured
         self._step_max, self._speed_max = largest_step(settings)
+        self._sources.adopt(bounds_of_source(settings))
         self._following.turn = turn_of_references(settings)
         self._following.encoder_turn = max(settings.encoder.wrap, 0.0)
 
@@ -290,6 +302,11 @@ class JointLoop:
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion again with the next state."""
+        self._sources.reset()
+        self._restart()
+
+    def _restart(self) -> None:
+        """Reset, but for what is known of the sources of the states: the next may be another's."""
         self._drop_relay("the loop began again")
         self._law.reset()
         self._estimation.reset()
@@ -356,7 +373,15 @@ class JointLoop:
         """Whether the active effort is ``fallback_effort``, for want of a usable state."""
         if self.state is LoopState.SILENT:
             return not self._timing.is_simulated
-        return self.state is LoopState.FAULT
+        return self.state in (LoopState.FAULT, LoopState.CONFLICT)
+
+    @property
+    def conflict(self) -> str:
+        """Where the joint is by two sources of states; empty while there is one source."""
+        if not self._sources.is_split:
+            return ""
+        one, other = self._sources.positions
+        return f"one says {one:.4g} rad, one {other:.4g} rad"
 
     @property
     def velocity_origin(self) -> str:
@@ -417,17 +442,19 @@ class JointLoop:
         """
         law, timing = self._law, self._timing
         before_ns = self.stamp_ns
+        is_place = -LARGEST_POSITION <= position <= LARGEST_POSITION
+        if is_place and self._sources.take(stamp_ns, position):
+            return self._refuse_both(stamp_ns)
         if stamp_ns == before_ns or stamp_ns == self._refused_ns:
             self.counts.repeats += 1
             return law.effort
         if not self._uses_velocity:
             velocity = None
         if not (
-            -LARGEST_POSITION <= position <= LARGEST_POSITION
-            and (velocity is None or -LARGEST_POSITION <= velocity <= LARGEST_POSITION)
+            is_place and (velocity is None or -LARGEST_POSITION <= velocity <= LARGEST_POSITION)
         ):
             reason = f"position {position} rad, velocity {velocity} rad/s"
-            if -LARGEST_POSITION <= position <= LARGEST_POSITION:
+            if is_place:
                 reason += "; velocity_source filtered does without velocities"
             return self.reject(stamp_ns, reason)
         dt = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
@@ -578,6 +605,17 @@ class JointLoop:
         self._law.override_effort(self.settings.effort.fallback)
         return self._law.effort
 
+    def _refuse_both(self, stamp_ns: int) -> float:
+        """Answer a state of one of two sources: which of them is true cannot be told."""
+        if self.state is not LoopState.CONFLICT:
+            self.counts.conflicts += 1
+            self.state = LoopState.CONFLICT
+            self.supersede(self.settings.effort.fallback)
+        self.last_fault = f"two sources: {self.conflict}"
+        self.counts.rejected += 1
+        self._skip(stamp_ns)
+        return self._law.effort
+
     def _interrupt(self, stamp_ns: int, dt: float) -> None:
         """Reset after a simulated clock that went back; else be due for a takeover."""
         if dt < 0.0:
@@ -585,7 +623,7 @@ class JointLoop:
             self.counts.resets += 1
             if self._timing.is_simulated:
                 self._drop_earlier_motion(stamp_ns)
-                self.reset()
+                self._restart()
                 return
             self._following.end_timed_motion()
         if dt:

@@ -288,6 +288,7 @@ class Exciter(MovingNode):
             references,
             self._act,
             lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0),
+            lambda line: self.get_logger().error(line) if line else None,
         )
         self._reason, self._ended = "", 0.0
         self._resting: Future | None = None

@@ -155,6 +155,7 @@ class JointTrajectoryController(executor.ClosingNode):
             {joint: f"{controller_name(joint)}/reference" for joint in joints},
             self._act,
             self._health.fault,
+            self._note_conflict,
         )
         self._server = GoalServer(
             self, self._begin, lambda: self._act(self._follower.cancel()), self._health.note
@@ -199,6 +200,14 @@ class JointTrajectoryController(executor.ClosingNode):
             self._topics.publish(outcome.trajectory)
         if outcome.result is not None:
             self._server.end(outcome.result)
+
+    def _note_conflict(self, line: str) -> None:
+        """Report at once that the states of a joint come from two sources, or from one again."""
+        if line:
+            self._health.error(line)
+        else:
+            self.get_logger().info("states come from one source again: goals can be followed")
+        self._report()
 
     def _against(self) -> str:
         """Return why no goal can be followed now; empty if one can be."""

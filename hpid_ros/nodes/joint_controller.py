@@ -42,6 +42,7 @@ from hpid_ros.nodes.core.waiting import (
 )
 from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
 from hpid_ros.nodes.parts.controller import (
+    IN_CONTROL,
     Certification,
     CertificationParameters,
     ControllerHealth,
@@ -162,7 +163,7 @@ class JointController(ManagedNode):
         )
         self._shared = shared if shared and shared.has_same(self, STATES) else None
         self._states: Any = None
-        self._is_listening = self._is_timeout_reported = False
+        self._is_listening = self._is_timeout_reported = self._is_conflict_reported = False
         self._readiness: Any = None
         self._seen = SeenJoints()
         self._waiting = waiting or Waiting(self)
@@ -238,8 +239,8 @@ class JointController(ManagedNode):
     def _stop_listening(self) -> None:
         """Drop the states, and any motion but one that is waited for."""
         self._watchdog.forget()
-        self._is_timeout_reported = False
         self._begun_at = None
+        self._is_timeout_reported = self._is_conflict_reported = False
         for timer in (self._watchdog_timer, self._readiness):
             if timer is not None:
                 self.destroy_timer(timer)
@@ -348,6 +349,10 @@ class JointController(ManagedNode):
         self._commands.send(sample.stamp_ns, effort, cuts)
         if self._readiness is not None:
             self._note_first_states()
+        if self._loop.state is LoopState.CONFLICT and not self._is_conflict_reported:
+            self._is_conflict_reported = True
+            self._health.error(self._health.conflict())
+            self._report()
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 
@@ -449,6 +454,9 @@ class JointController(ManagedNode):
         before, self._standstill = self._standstill, self._find_standstill()
         if self._standstill and not before:
             self._health.fault(self._standstill)
+        if self._is_conflict_reported and self._loop.state in IN_CONTROL:
+            self._is_conflict_reported = False
+            log_change(self, "states come from one source again: the joint is controlled")
         waiting = "" if self._is_listening else self._waits_for()
         claim = self._claim
         self._health.report(self.lifecycle, waiting, claim.text, claim.refusal, self._standstill)

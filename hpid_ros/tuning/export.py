@@ -38,6 +38,7 @@ from hpid_ros.control.settings import (
     LoopSettings,
     Value,
 )
+from hpid_ros.control.sources import RULE
 from hpid_ros.stability.gain_boxes import GainRange
 from hpid_ros.stability.gain_check import CERTIFICATES
 from hpid_ros.tuning.replay import AskedReference
@@ -353,6 +354,7 @@ def c_files(
         "least_wrap": LEAST_WRAP,
         "largest_motion": LARGEST_MOTION,
         "parameters": LOOP_PARAMETERS,
+        "sources": RULE,
     }
     return {
         f"{name}{suffix}": templates().get_template(template).render(texts)

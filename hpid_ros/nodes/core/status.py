@@ -168,6 +168,12 @@ class Diagnostics:
         self.last_fault = line = bounded(line, LONGEST_FAULT)
         self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
+    def error(self, line: str) -> None:
+        """Note and log one line for what is wrong now, whatever was logged before it."""
+        self.last_fault = line = bounded(line, LONGEST_FAULT)
+        if line := _BUDGETS.setdefault(self._node, LineBudget()).admitted(line, time.monotonic()):
+            self._node.get_logger().error(line)
+
     def publish(self, level: bytes, message: str, values: Mapping[str, object]) -> None:
         status = DiagnosticStatus(
             level=level,

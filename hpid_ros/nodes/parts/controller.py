@@ -31,9 +31,10 @@ from hpid_ros.control.settings import (
     Value,
 )
 from hpid_ros.messages.joint_state import JointSample, RobotReader
-from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.middleware import full_name, steady_timer
 from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, log_change
+from hpid_ros.nodes.parts.joint_topics import STATES
 from hpid_ros.robot.description import robot_limits
 from hpid_ros.stability.certifier import Certifier
 
@@ -298,7 +299,10 @@ _NO_LIMIT = 1e6  # as the parameters say it
 _MANY_MISSED = 0.5  # of the states of a report
 _REFUSAL_REPORTS = 30  # in which a reference that was refused is named, if no good one comes
 
-_ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT)
+_ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT, LoopState.CONFLICT)
+
+IN_CONTROL = (LoopState.HOLDING, LoopState.FOLLOWING)
+"""States of a loop whose law drives the joint."""
 
 
 class ControllerHealth(Diagnostics):
@@ -366,6 +370,17 @@ class ControllerHealth(Diagnostics):
         self._samples, self._misread_line = samples, ""
         return line if is_all else ""
 
+    def conflict(self) -> str:
+        """Say where the joint is by two sources, and which nodes publish its states."""
+        node = self._node
+        topic = node.resolve_topic_name(STATES)
+        nodes = sorted({full_name(each) for each in node.get_publishers_info_by_topic(topic)})
+        joint, places = self._loop.settings.joint, self.unit(self._loop.conflict)
+        return (
+            f"states of {joint} come from two sources: {places}; on {topic} publish: "
+            f"{', '.join(nodes) or 'nodes that the graph does not know'}"
+        )
+
     def refused_reference(self, line: str) -> None:
         self._references += 1
         self._refusal, self._refusal_reports = f"reference refused: {line}", _REFUSAL_REPORTS
@@ -410,6 +425,8 @@ class ControllerHealth(Diagnostics):
         if not is_active:
             message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
         elif loop.state in _ON_FALLBACK:
+            if loop.state is LoopState.CONFLICT:
+                message = self.conflict()
             message, level = f"{message}; {warning}" if warning else message, ERROR
         elif loop.state is LoopState.WAITING or waiting or warning:
             message, level = waiting or warning or message, WARN
@@ -429,6 +446,7 @@ class ControllerHealth(Diagnostics):
                 "silences": counts.silences,
                 "takeovers": counts.takeovers,
                 "position jumps": counts.jumps,
+                "state conflicts": counts.conflicts,
                 "repeats": counts.repeats,
                 "clock resets": counts.resets,
                 "saturated samples": counts.saturated,

@@ -27,6 +27,7 @@ from hpid_ros.control.reference import (
     require_timely,
     whole_turns,
 )
+from hpid_ros.control.sources import SourceBounds, SourceWatch, source_bounds
 from hpid_ros.control.supervision import standing_stamps
 from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.messages.joint_state import JointPart
@@ -81,7 +82,10 @@ class _Overdue(NamedTuple):
 class _Joint:
     """One joint of the group: its newest state, and its reference."""
 
-    def __init__(self, name: str, facts: JointFacts, takeover_time: float) -> None:
+    def __init__(
+        self, name: str, facts: JointFacts, takeover_time: float, bounds: SourceBounds
+    ) -> None:
+        self.sources = SourceWatch(bounds)
         self.name, self.unit, self.is_endless = name, facts.unit, facts.is_endless
         self._takeover_time = takeover_time
         self._source = MeasuredVelocity(_VELOCITY_FILTER)
@@ -91,7 +95,7 @@ class _Joint:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: the next state is the first one."""
+        """Forget everything but the sources: the next state is the first one."""
         self.stamp_ns: int | None = None
         self.reference_ns: int | None = None  # of what its controller published last
         self.position = self.velocity = 0.0
@@ -196,8 +200,13 @@ class GoalFollower:
         self.settings = settings
         self.now_ns: int | None = None  # the control clock; None before the first state
         self.unusable = 0  # positions that were not finite
+        self.conflict = ""  # which joint has states from two sources; empty if none has
+        fixed = settings.fixed
+        bounds = source_bounds(
+            timeout=fixed.state_timeout, is_simulated=fixed.state_clock == "simulated"
+        )
         self._joints = [
-            _Joint(name, facts, settings.fixed.takeover_time)
+            _Joint(name, facts, fixed.takeover_time, bounds)
             for name, facts in zip(settings.joints, settings.facts, strict=True)
         ]
         self._active: _ActiveGoal | None = None
@@ -234,6 +243,8 @@ class GoalFollower:
 
     def reason_against(self) -> str:
         """Return why no goal can be followed now; empty if one can be."""
+        if self.conflict:
+            return self.conflict
         if self._silence:
             line = f"there has been no new state for {self._silence:.3g} s"
             return f"{line}: {self.standstill}" if self.standstill else line
@@ -334,9 +345,14 @@ class GoalFollower:
         self._late_by = max(stood, self._late_by)
 
     def take_state(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
-        """Take the joints of one state."""
+        """Take the joints of one state; where a joint is by two sources nobody can tell."""
         if not parts:
             return None
+        usable = [part for part in parts if not self._is_split(stamp_ns, part)]
+        if len(usable) < len(parts):
+            return self._note_conflict()
+        if self.conflict:
+            self._note_conflict()
         stamps_ns = [self._joints[part.joint].stamp_ns for part in parts]
         if any(before_ns is not None and stamp_ns < before_ns for before_ns in stamps_ns):
             return self._restart(stamp_ns, parts)
@@ -381,6 +397,30 @@ class GoalFollower:
         self._ahead.clear()
         ahead = (stamp_ns - self._now()) / NANOSECONDS
         return f"the clock of the states jumped ahead by {ahead:.6g} s"
+
+    def _is_split(self, stamp_ns: int, part: JointPart) -> bool:
+        at, position, _ = part
+        if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
+            return False
+        return self._joints[at].sources.take(stamp_ns, position)
+
+    def _note_conflict(self) -> Outcome | None:
+        """Note which joints have states from two sources; such a goal is aborted.
+
+        Its joints stop where they are found when each has one source again.
+        """
+        lines = []
+        for joint in self._joints:
+            if joint.sources.is_split:
+                one, other = joint.sources.positions
+                places = f"one says {one:.4g} {joint.unit}, one {other:.4g} {joint.unit}"
+                lines.append(f"states of {joint.name} come from two sources: {places}")
+        self.conflict = "; ".join(lines)
+        if not lines or self._active is None:
+            return None
+        self._active = None
+        self._hold_later()
+        return Outcome(Result(ResultCode.INVALID_GOAL, self.conflict), None)
 
     def take_reference(self, at: int, stamp_ns: int, position: float) -> Outcome | None:
         """Take a reference that a controller has published."""

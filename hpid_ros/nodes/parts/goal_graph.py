@@ -65,8 +65,10 @@ class GroupTopics:
         references: Mapping[str, str],
         act: Callable[[Outcome | None], None],
         fault: Callable[[str], None],
+        note_conflict: Callable[[str], None],
     ) -> None:
         self._node, self._follower, self._act, self._fault = node, follower, act, fault
+        self._note_conflict, self._has_conflict = note_conflict, False
         self.misread = self.stood_still = 0
         self._own: deque[bytes] = deque(maxlen=_OWN_KEPT)
         self._sent = 0
@@ -191,6 +193,9 @@ class GroupTopics:
         if parts:
             missed = self._follower.misses
             self._act(self._follower.take_state(stamp_ns, parts))
+            if bool(conflict := self._follower.conflict) is not self._has_conflict:
+                self._has_conflict = not self._has_conflict
+                self._note_conflict(conflict)
             if self._follower.misses and not missed:  # the executor's queue is first in, first out
                 self._node.hand_over(self._confirm)
 

@@ -24,6 +24,7 @@ typedef {{ c }}_estimate Estimate;
 typedef {{ c }}_passage Passage;
 typedef {{ c }}_fade Fade;
 typedef {{ c }}_encoder Encoder;
+typedef {{ c }}_sources Sources;
 typedef {{ c }}_state State;
 
 #define REAL(number) {{ C }}_REAL(number)
@@ -744,6 +745,18 @@ static void set_limits(const Settings *s, Coefficients *c)
     }
 }
 
+/* Set what the states of one source may do. */
+static void set_sources(const Settings *s, Coefficients *c)
+{
+    Real counts = {{ sources.counts|real }} * s->encoder_resolution;
+    c->apart = larger(larger({{ sources.agree_within|real }}, counts), s->position_step_max);
+    c->twice = larger({{ sources.same_stamp_within|real }}, counts);
+    c->source_turn = s->encoder_wrap > 0 ? s->encoder_wrap : TURN;
+    c->back_ns = (int64_t)rounded(s->state_timeout / NANOSECOND);
+    c->window_ns =
+        (int64_t)rounded(({{ sources.window|real }} + s->state_timeout) / NANOSECOND);
+}
+
 /* Set what follows from the settings; false if they are refused. */
 static bool derive(const Settings *s, Coefficients *c)
 {
@@ -768,7 +781,88 @@ static bool derive(const Settings *s, Coefficients *c)
         c->turn = TURN;
     c->fallback = clamped(s->fallback_effort, s->u_clamp_min, s->u_clamp_max);
     c->glide_ns = (int64_t)rounded(s->takeover_time / NANOSECOND);
+    set_sources(s, c);
     return true;
+}
+
+/* -- The sources of the states ------------------------------------------- */
+
+/* Return how far apart two positions are, but for whole turns [rad]. */
+static Real apart_but_for_turns(Real position, Real other, Real turn)
+{
+    Real apart = position - other;
+    if (ABS(apart) > REAL(0.5) * turn)
+        apart -= turn * rounded(apart / turn);
+    return ABS(apart);
+}
+
+/* Leave the present sequence of states, for the other one or for a new one. */
+static void part(Sources *its, const Coefficients *c, int64_t stamp_ns, Real position, Real near)
+{
+    Real off = apart_but_for_turns(position, its->other, c->source_turn);
+    bool is_on_time = its->has_other && stamp_ns >= its->other_ns &&
+        (uint64_t)stamp_ns - (uint64_t)its->other_ns <= (uint64_t)c->window_ns;
+    if (off <= near && is_on_time) {
+        if (its->returns < {{ sources.returns }})
+            its->returns++;
+        its->usual += {{ sources.noise_share|real }} * (off - its->usual);
+        if (its->returns >= {{ sources.returns }})
+            its->is_split = true;
+    } else if (!its->is_split) {
+        its->returns = 0;
+    }
+    its->has_other = true;
+    its->other_ns = its->stamp_ns;
+    its->other = its->position;
+    its->stamp_ns = its->since_ns = stamp_ns;
+    its->position = position;
+}
+
+/* Take a state, and return whether there are two sources. */
+static bool is_split(State *loop, int64_t stamp_ns, Real position)
+{
+    const Coefficients *c = &loop->own.coefficients;
+    Sources *its = &loop->own.sources;
+    Real apart, noise, bound;
+    bool is_later, is_near;
+    if (!its->has_state) {
+        its->has_state = true;
+        its->stamp_ns = its->since_ns = stamp_ns;
+        its->position = position;
+        return false;
+    }
+    apart = apart_but_for_turns(position, its->position, c->source_turn);
+    noise = {{ sources.noise|real }} * its->usual;
+    if (stamp_ns == its->stamp_ns) {
+        if (apart <= larger(c->twice, noise))
+            return its->is_split;
+        its->doubled = {{ sources.pair }};
+        part(its, c, stamp_ns, position, {{ sources.near|real }} * apart);
+        return its->is_split;
+    }
+    bound = c->apart;
+    if (its->doubled > 0) {
+        its->doubled--;
+        bound = c->twice;
+    }
+    is_near = apart <= larger(bound, noise);
+    if (stamp_ns > its->stamp_ns)
+        is_later = (uint64_t)stamp_ns - (uint64_t)its->stamp_ns <= (uint64_t)c->window_ns;
+    else
+        is_later = (uint64_t)its->stamp_ns - (uint64_t)stamp_ns <= (uint64_t)c->back_ns;
+    if (is_later && is_near) {
+        its->stamp_ns = stamp_ns;
+        its->position = position;
+        its->usual += {{ sources.noise_share|real }} * (apart - its->usual);
+        if (its->returns > 0 && stamp_ns > its->since_ns &&
+            (uint64_t)stamp_ns - (uint64_t)its->since_ns > (uint64_t)c->window_ns) {
+            its->returns = 0;
+            its->is_split = false;
+        }
+    } else { /* where it parted by its stamp alone, the sequences may be near each other */
+        part(its, c, stamp_ns, position, is_near ? bound : {{ sources.near|real }} * apart);
+    }
+    return its->is_split;
 }
 
 /* -- One sample ---------------------------------------------------------- */
@@ -780,6 +874,18 @@ static Real fault(State *loop, int64_t stamp_ns)
     loop->own.unusable_ns = stamp_ns;
     loop->condition = {{ C }}_FAULT;
     give(loop, loop->own.coefficients.fallback);
+    return loop->effort;
+}
+
+/* Answer a state of one of two sources: which of them is true cannot be told. */
+static Real refuse_both(State *loop, int64_t stamp_ns)
+{
+    if (loop->condition != {{ C }}_CONFLICT) {
+        loop->condition = {{ C }}_CONFLICT;
+        {{ c }}_supersede(loop, loop->own.coefficients.fallback);
+    }
+    loop->own.has_unusable = true;
+    loop->own.unusable_ns = stamp_ns;
     return loop->effort;
 }
 
@@ -891,6 +997,9 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
     bool is_next;
     if (!loop->own.is_ready)
         return 0;
+    if (is_usable(position) && is_usable(reference_position) && is_usable(reference_velocity) &&
+        is_split(loop, stamp_ns, position))
+        return refuse_both(loop, stamp_ns);
     if ((loop->own.has_stamp && stamp_ns == loop->own.stamp_ns) ||
         (loop->own.has_unusable && stamp_ns == loop->own.unusable_ns))
         return loop->effort;
@@ -941,6 +1050,7 @@ void {{ c }}_reset({{ c }}_state *loop)
 {
     static const Passage none = {0};
     static const Fade nothing = {0};
+    static const Sources unknown = {0};
     loop->condition = {{ C }}_WAITING;
     loop->integral = loop->term_p = loop->term_i = loop->term_d = 0;
     loop->position = loop->velocity = loop->error = 0;
@@ -949,6 +1059,7 @@ void {{ c }}_reset({{ c }}_state *loop)
     give(loop, 0);
     reset_estimate(loop);
     reset_encoder(loop);
+    loop->own.sources = unknown;
     loop->own.passage = none;
     loop->own.fade = nothing;
     loop->own.added = 0;
@@ -964,7 +1075,8 @@ bool {{ c }}_retune({{ c }}_state *loop, const {{ c }}_settings_type *settings)
     bool same_stops, same_source, is_on_fallback;
     if (!loop->own.is_ready || !derive(settings, &next))
         return false;
-    is_on_fallback = loop->condition == {{ C }}_FAULT &&
+    is_on_fallback =
+        (loop->condition == {{ C }}_FAULT || loop->condition == {{ C }}_CONFLICT) &&
         loop->effort == loop->own.coefficients.fallback;
     same_stops = loop->own.coefficients.has_limits && next.lower == loop->own.coefficients.lower &&
         next.upper == loop->own.coefficients.upper;

@@ -72,7 +72,8 @@ extern const {{ c }}_settings_type {{ c }}_settings;
 typedef enum {{ c }}_condition {
     {{ C }}_WAITING,   /* for the first state */
     {{ C }}_FOLLOWING, /* its reference */
-    {{ C }}_FAULT      /* the last state could not be used */
+    {{ C }}_FAULT,     /* the last state could not be used */
+    {{ C }}_CONFLICT   /* the states come from two sources */
 } {{ c }}_condition;
 
 /* What follows from the settings: computed when they come into force. */
@@ -99,6 +100,11 @@ typedef struct {{ c }}_coefficients {
     {{ c }}_real turn;             /* references are told modulo this, 0 for none [rad] */
     {{ c }}_real lost_turn;        /* the first one after a reset, too [rad] */
     {{ c }}_real fallback;         /* effort after a fault, within limits [N m] */
+    {{ c }}_real apart;            /* from one state to the next of one source [rad] */
+    {{ c }}_real twice;            /* ... where both have one stamp [rad] */
+    {{ c }}_real source_turn;      /* positions whole turns apart are the same [rad] */
+    int64_t back_ns;               /* by which a stamp of one source may go back */
+    int64_t window_ns;             /* between two states of one source */
     int64_t glide_ns;              /* takeover_time [ns] */
 } {{ c }}_coefficients;
 
@@ -116,6 +122,21 @@ typedef struct {{ c }}_estimate {
     {{ c }}_real position; /* [rad] */
     {{ c }}_real velocity; /* [rad/s] */
 } {{ c }}_estimate;
+
+/* What is known of the sources of the states. */
+typedef struct {{ c }}_sources {
+    bool is_split;         /* there are two */
+    bool has_state;
+    int64_t stamp_ns;      /* of the last state */
+    {{ c }}_real position; /* of the last state [rad] */
+    int64_t since_ns;      /* stamp of the first of its sequence */
+    bool has_other;        /* there is a sequence that was left */
+    int64_t other_ns;      /* stamp of its last state */
+    {{ c }}_real other;    /* its position [rad] */
+    int doubled;           /* states left in which stamps are taken to come twice */
+    int returns;           /* to the sequence that was left */
+    {{ c }}_real usual;    /* distance between two states of one sequence [rad] */
+} {{ c }}_sources;
 
 /* The passage from where the joint was onto the reference. */
 typedef struct {{ c }}_passage {
@@ -169,6 +190,7 @@ typedef struct {{ c }}_state {
         {{ c }}_real low, high; /* stops in force [rad] */
         {{ c }}_encoder encoder;
         {{ c }}_estimate estimate;
+        {{ c }}_sources sources;
         {{ c }}_passage passage;
         {{ c }}_fade fade;
         {{ c }}_real added;          /* to the terms of the last sample [N m] */
@@ -194,7 +216,8 @@ void {{ c }}_reset({{ c }}_state *loop);
  *
  * stamp_ns: when the state was measured [ns], on any clock. The time between
  *     samples is the difference of stamps. An equal stamp is a repeat, which
- *     gets the effort in force. So does one that goes back, or is later by more
+ *     gets the effort in force; one that comes again and again with another
+ *     position is a second source's. So does one that goes back, or is later by more
  *     than state_timeout, as it may be wrong; with the one after it the loop
  *     takes over anew, from the effort in force.
  * reference_position, reference_velocity: where the joint should be [rad], and
@@ -207,7 +230,9 @@ void {{ c }}_reset({{ c }}_state *loop);
  *
  * A state or reference that is not finite or beyond 1e9, a position where no joint
  * can have come to, and a state that makes the law's effort infinite get
- * fallback_effort; the condition tells.
+ * fallback_effort; the condition tells. So do all states while they come from two
+ * sources: one stamp has two positions, or positions or stamps jump to and fro.
+ * When one source has ended, the loop takes over from there.
  */
 {{ c }}_real {{ c }}_step({{ c }}_state *loop, int64_t stamp_ns,
     {{ c }}_real reference_position, {{ c }}_real reference_velocity,

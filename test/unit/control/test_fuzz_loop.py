@@ -8,7 +8,7 @@ from harness.examples import examples
 from harness.fuzzing import NUMBERS, StateFuzzer
 from harness.loops import loop_settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.control import Gains, JointLoop, LoopSettings
@@ -206,6 +206,8 @@ class NothingKicks(RuleBasedStateMachine):
         self.active = 0.0  # [N m] what the joint has
         self.taken_over_ns = self.answered_ns = self.stamp_ns
         self.integrated = 0.0  # [N m] by the last sample, for the next: a lot after a freeze
+        self.sampled = 0.0  # [rad] what the last sample said
+        self.astray_ns = 0  # when a state was wrong; two in a row are another source
 
     def _move(self, seconds, acceleration=0.0):
         self.velocity = min(max(self.velocity + acceleration * seconds, -FASTEST), FASTEST)
@@ -219,7 +221,8 @@ class NothingKicks(RuleBasedStateMachine):
         takeovers, samples = self.loop.counts.takeovers, self.loop.counts.samples
         before = self.loop.reference
         rate_before = abs(before[1] - self.loop.velocity)
-        effort = self.loop.step(self.stamp_ns, self._wrapped(), self.velocity)
+        self.sampled = self._wrapped()
+        effort = self.loop.step(self.stamp_ns, self.sampled, self.velocity)
         assert self.loop.counts.samples == samples + 1
         rate = abs(self.loop.reference[1] - self.loop.velocity)
         if has_jumped:  # in control until now: the derivative term was there before
@@ -264,7 +267,7 @@ class NothingKicks(RuleBasedStateMachine):
         self.stamp_ns += MS
         timeout_ns = self.values.get("state_timeout", 0.1) * 1e9
         if self.loop.stamp_ns is not None and self.stamp_ns - self.loop.stamp_ns > timeout_ns:
-            assert self.loop.step(self.stamp_ns, 3.0, 0.0) == self.active  # it may be wrong
+            assert self.loop.step(self.stamp_ns, self._wrapped(), 0.0) == self.active  # at first
             self._move(1e-3)
         # Within the timeout the loop goes on, and its reference has moved meanwhile.
         self._sample(is_back=seconds < self.values.get("state_timeout", 0.1))
@@ -284,11 +287,13 @@ class NothingKicks(RuleBasedStateMachine):
             if has_timed_out:
                 self.active = self.loop.note_timeout()
                 assert self.active == FALLBACK
-            assert self.loop.step(self.loop.stamp_ns, 3.0, 0.0) == self.active
+            assert self.loop.step(self.loop.stamp_ns, self.sampled, 0.0) == self.active
 
+    @precondition(lambda self: self.stamp_ns > self.astray_ns + 10**9)
     @rule(jump=st.floats(1.0, 2.0) | st.floats(-2.0, -1.0), is_for_good=st.booleans())
     def jump(self, jump, is_for_good):
         """A glitch; or the encoder was set to another zero, say."""
+        self.astray_ns = self.stamp_ns
         self.position += jump
         self._move(1e-3)
         is_checked = self.loop.stamp_ns is not None and not self.loop.is_on_fallback

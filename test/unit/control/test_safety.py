@@ -148,12 +148,10 @@ def test_a_joint_that_is_elsewhere_for_good_is_taken_over_from_there():
 
 
 def test_the_damping_of_jumps_in_a_row_is_not_added_up():
-    """An encoder that is now here, now there, on a joint that moves all the while."""
+    """An encoder whose zero is set again and again, on a joint that moves all the while."""
     loop = loop_on(velocity_max=5.0)
     here = run(loop, 0, 200, 0.0, 1.0)
-    efforts = [
-        loop.step(k * MS, 1e-3 * k + (2.0 if (k // 2) % 2 else 0.0), 1.0) for k in range(200, 240)
-    ]
+    efforts = [loop.step(k * MS, 1e-3 * k + 2.0 * (k // 2 - 100), 1.0) for k in range(200, 240)]
     assert loop.counts.takeovers > 15
     # Each takes over at rest, at the joint's 1 rad/s: 20 N m of damping, as held before.
     assert np.max(np.abs(np.array(efforts) - here)) < 20.0 + 1.0
@@ -678,7 +676,10 @@ def test_the_effort_changes_no_faster_than_its_rate(steps):
     for periods, position in steps:
         stamp_ns += periods * MS
         effort = loop.step(stamp_ns, position, 0.0)
-        assert abs(effort - before) <= 500.0 * periods * T * (1.0 + 1e-9)
+        if loop.state is LoopState.CONFLICT:  # positions to and fro: the fallback, at once
+            assert effort == 0.0
+        else:
+            assert abs(effort - before) <= 500.0 * periods * T * (1.0 + 1e-9)
         before = effort
 
 

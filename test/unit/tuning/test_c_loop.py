@@ -14,11 +14,13 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.tuning.export import GivenLoop, golden_vectors, in_single
 
 SETTINGS = loop_settings(gains__p=40.0, gains__i=130.0, gains__d=4.0, mu=-0.2)
 SEEDS = st.integers(0, 2**32)
 MS = 1_000_000
+CONFLICT = 3  # condition of a loop in C
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +107,31 @@ def test_whatever_comes_between_two_states_c_answers_as_python_to_the_last_bit(l
             python.loop.reset()
             c.reset()
         assert_equal_answers(python, c, [state])
+
+
+@given(SEEDS)
+@examples(4)
+def test_c_recognises_two_sources_of_states_as_python_to_the_last_bit(library, seed):
+    """Their rates, places and clocks by chance, one of them for a while."""
+    chance = random.Random(seed)
+    turn = chance.choice((0.0, math.tau))
+    others = {"control_period": 0.001, "position_step_max": 0.0, "encoder_wrap": turn}
+    settings = settings_by_chance(chance, **others)
+    python, c = both(library, settings)
+    apart = chance.choice((0.004, 0.012, 0.1, 1.0, math.tau))
+    every, offset_ns = chance.randint(1, 20), chance.choice((0, 0, 1000, -(10**9), 10**12))
+    conflicts = 0
+    for k in range(2500):
+        stamp_ns, position = k * MS, 0.1 * math.sin(0.01 * k) + chance.gauss(0.0, 1e-4)
+        states = [(stamp_ns, 0.2, 0.0, position, None)]
+        if 500 < k < 1500 and k % every == 0:
+            states.append((stamp_ns + offset_ns, 0.2, 0.0, position + apart, 0.0))
+        assert_equal_answers(python, c, states)
+        is_conflict = python.loop.state is LoopState.CONFLICT
+        assert (c.state.condition == CONFLICT) == is_conflict
+        conflicts += is_conflict
+    assert conflicts > 1000 or apart in (0.004, 0.012, math.tau)
+    assert python.loop.state is not LoopState.CONFLICT
 
 
 @given(SEEDS)

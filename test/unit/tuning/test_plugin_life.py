@@ -57,6 +57,24 @@ def test_states_that_have_ended_give_the_fallback_and_then_a_takeover_as_pythons
     assert cycle(500, by=0.0, speed=0.0)[0] != 0.5
 
 
+def test_two_sources_of_states_give_the_fallback_and_then_a_takeover_as_pythons(active):
+    """As where hardware reads the states of a topic that two nodes publish on."""
+    cycle = Cycle(active)
+    cycle.as_python(50)
+    for _ in range(100):
+        cycle.as_python(1, by=0.5)
+        cycle.as_python(1, by=-0.5)
+    assert cycle(1, by=0.0)[0] == 0.25
+    active.tick()
+    assert active.verdict("elbow") == "2 states of elbow come from two sources: fallback_effort"
+    assert active.health("elbow", "state conflicts") == "1"
+    cycle.given.step(cycle.stamp_ns, cycle.held, 0.0, cycle.position, 0.01)
+    cycle.as_python(800)
+    for _ in range(100):
+        active.tick()
+    assert active.verdict("elbow") == "0 active"
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.01])
 def test_after_a_standstill_of_the_manager_the_state_from_before_is_none(active, speed):
     """The joint may be elsewhere: a takeover from where it was would become a jump."""

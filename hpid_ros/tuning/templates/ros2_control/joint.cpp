@@ -27,6 +27,7 @@ void Joint::begin()
   is_controlled_ = true;
   is_standing_ = false;
   is_silent = false;
+  is_conflicting = false;
 }
 
 void Joint::drop_motion()
@@ -61,9 +62,11 @@ Record Joint::step(
   }
   clock_ns.store(stamp_ns + ahead_ns, std::memory_order_relaxed);
   Record record;
-  if (is_standing_ && stamp_ns == stamp_ns_) {  // no time has passed
+  if (is_standing_ && stamp_ns == stamp_ns_) {  // no time has passed: a repeat, or another source's
     record.stamp_ns = stamp_ns_;
-    record.effort = loop_.effort;
+    record.effort = {{ c }}_step(
+      &loop_, stamp_ns, asked_.position, asked_.velocity, position, velocity);
+    note_conflict();
     return record;
   }
   const Age state = age(stamp_ns, position, velocity);
@@ -99,10 +102,18 @@ Record Joint::step(
   record.terms[1] = loop_.term_i;
   record.terms[2] = loop_.term_d;
   samples.fetch_add(1, std::memory_order_relaxed);
+  note_conflict();
   if (loop_.condition == {{ C }}_FAULT) {
     faults.fetch_add(1, std::memory_order_relaxed);
   }
   return record;
+}
+
+void Joint::note_conflict()
+{
+  const bool is_conflict = loop_.condition == {{ C }}_CONFLICT;
+  conflicts.fetch_add(is_conflict && !is_conflicting ? 1 : 0, std::memory_order_relaxed);
+  is_conflicting = is_conflict;
 }
 
 Record Joint::leave()

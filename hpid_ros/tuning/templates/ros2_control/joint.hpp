@@ -77,6 +77,8 @@ public:
   std::atomic<std::uint64_t> silences = 0;  // times without a new state
   std::atomic<std::uint64_t> missed = 0;    // states there must have been, by control_period
   std::atomic<bool> is_silent = false;      // the states have ended
+  std::atomic<std::uint64_t> conflicts = 0;  // times in which they came from two sources
+  std::atomic<bool> is_conflicting = false;  // they do now
 
   // By the clock of trajectories; 0 while it is not controlled.
 
@@ -87,6 +89,7 @@ private:
   enum class Age { kNew, kOld, kEnded };
 
   void begin();
+  void note_conflict();
   Age age(std::int64_t stamp_ns, double position, const double * velocity);
   Reference asked_for(
     std::int64_t stamp_ns, double position, const Reference * chained, std::int64_t ahead_ns);

@@ -381,6 +381,9 @@ diagnostic_msgs::msg::DiagnosticStatus JointNode::status() const
   if (is_controlled() && joint_->is_silent) {
     found.level = DiagnosticStatus::ERROR;
     found.message = "no new state: fallback_effort";
+  } else if (is_controlled() && joint_->is_conflicting) {
+    found.level = DiagnosticStatus::ERROR;
+    found.message = "states of " + name_ + " come from two sources: fallback_effort";
   }
   found.values = {
     value("lifecycle", state.label()),
@@ -390,6 +393,7 @@ diagnostic_msgs::msg::DiagnosticStatus JointNode::status() const
     value("samples", std::to_string(joint_->samples)),
     value("missed samples", std::to_string(joint_->missed)),
     value("silences", std::to_string(joint_->silences)),
+    value("state conflicts", std::to_string(joint_->conflicts)),
     value("rejected samples", std::to_string(joint_->faults)),
     value("refused references", std::to_string(refused_)),
     value("last fault", last_fault_)};
