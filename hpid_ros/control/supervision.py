@@ -46,13 +46,13 @@ class _Wait:
     """The time since a new state; either thread marks what it has done about it."""
 
     __slots__ = (
-        *("begin_ns", "is_answered", "is_asked", "is_caught_up", "is_noticed"),
+        *("begin_ns", "is_answered", "is_caught_up", "is_noticed"),
         *("not_before_ns", "freezes"),
     )
 
     def __init__(self, begin_ns: int) -> None:
         self.begin_ns = self.not_before_ns = begin_ns  # before that it is no timeout
-        self.is_asked = self.is_caught_up = True  # the loop's thread has taken what waited
+        self.is_caught_up = True  # the loop's thread has taken what waited
         self.freezes = 0
         self.is_answered = False  # an effort was given for want of a state
         self.is_noticed = False  # the loop was told
@@ -72,8 +72,8 @@ class Watchdog:
 
     Each thread looks once in a :attr:`period`. Where neither has for longer, the process stood
     still: states wait, and whichever thread is first, they are taken before a timeout is believed.
-    It is one when a tenth of a second has passed and the loop's thread, asked then
-    (:meth:`asks`, :meth:`catch_up`), has taken all that waited.
+    It is one when a tenth of a second has passed and the loop's thread has looked since then
+    (:meth:`catch_up`), behind all that waited.
     """
 
     def __init__(self) -> None:
@@ -123,23 +123,15 @@ class Watchdog:
         if has_stood and wait is not None and wait.freezes < _FREEZES:
             wait.freezes += 1
             wait.not_before_ns = now_ns + _CATCH_UP_NS
-            wait.is_asked = wait.is_caught_up = False
+            wait.is_caught_up = False
         # Last: until here the other thread finds out the same by itself.
         self._seen_ns = max(seen_ns, now_ns)
         return wait
 
-    def asks(self, now_ns: int) -> bool:
-        """Return whether the loop's thread is to call :meth:`catch_up`, behind all that waits."""
+    def catch_up(self, now_ns: int) -> None:
+        """Note, on the loop's thread, that it takes what waits: this look waited behind it."""
         wait = self._wait  # another thread may change it
-        if wait is None or wait.is_asked or now_ns < wait.not_before_ns:
-            return False
-        wait.is_asked = True
-        return True
-
-    def catch_up(self) -> None:
-        """Note, on the loop's thread, that it has taken all states that had waited."""
-        wait = self._wait
-        if wait is not None and wait.is_asked:
+        if wait is not None and now_ns >= wait.not_before_ns:
             wait.is_caught_up = True
 
     def wake(self, now_ns: int) -> bool:
@@ -242,6 +234,7 @@ class SupervisedLoop:
 
     def look(self, now_ns: int) -> None:
         """Take note of a silence."""
+        self.watchdog.catch_up(now_ns)
         self._note(self.watchdog.look(now_ns))
 
     def note_past_timeout(self, now_ns: int) -> None:

@@ -476,8 +476,6 @@ class JointController(ManagedNode):
         """Give the effort for a state timeout, and publish the claim where it is due."""
         self._commands.fall_back(self._supervised.timeout_effort, self._has_timed_out)
         now_ns = time.perf_counter_ns()
-        if self._watchdog.asks(now_ns):
-            self.hand_over(self._watchdog.catch_up)
         return min(self._watchdog.time_left(now_ns), self._claim.keep())
 
     def cut_effort(self) -> bool:

@@ -59,8 +59,8 @@ class Joint(SupervisedLoop):
         """The supervisor looks now."""
         if self.watchdog.is_silent(self.now):
             self.active = self.timeout_effort
-        if self.watchdog.asks(self.now) and not self.is_stuck:
-            self.watchdog.catch_up()
+        if not self.is_stuck:
+            self.watchdog.catch_up(self.now)
 
 
 def settled(**parameters):
