@@ -87,7 +87,7 @@ from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.joint_controller import JointController
 
 class Stuck(JointController):
-    def _follow(self, motion):
+    def _follow(self, motion, is_latched):
         end = time.monotonic() + motion.knots[0].position
         while time.monotonic() < end:
             {waits}
