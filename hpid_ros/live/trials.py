@@ -214,14 +214,14 @@ class Trials:
             raise SettingError(
                 f"a motion may last up to {_LARGEST_TIME:g} s, not {wish.duration:g}"
             )
-        if inactive := self._inactive(nodes):
-            raise SettingError(inactive)
         controllers, graph = self._running(nodes)
         bounds = [bounds_of(each, None) for each in controllers]
         design = Design(kind=wish.kind, duration=wish.duration, are_together=True)  # type: ignore[arg-type]
         return plan(bounds, Wish(wish.share, wish.amplitude), design), controllers, graph
 
     def _running(self, nodes: Sequence[str]) -> tuple[list[Controller], RunningGraph]:
+        if inactive := self._inactive(nodes):
+            raise SettingError(inactive)
         session = self._session
         graph = session.graph.running(nodes, lambda node: session.history(node).state)
         return chosen(graph, []), graph

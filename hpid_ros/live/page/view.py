@@ -310,7 +310,7 @@ class PageView:
         control_lock = self._session.control_lock
         if self._viewer.may_edit:
             others = f", {control_lock.pages - 1} more look on" if control_lock.pages > 1 else ""
-            self._control_lock.set_text(f"you have control{others}")
+            self._control_lock.set_text(f"you have control ({self._viewer.name}){others}")
         elif control_lock.holder is None:
             self._control_lock.set_text("nobody has control")
         else:
