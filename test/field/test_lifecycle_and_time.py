@@ -30,6 +30,12 @@ def ask(robot, position):
     return robot.ask(next(robot.stamps), position)
 
 
+def activate_again(robot):
+    assert change(robot, "deactivate")
+    assert change(robot, "activate")
+    robot.wait(lambda: robot.states.get_subscription_count() > 0, what="it to listen")
+
+
 def test_without_a_clock_a_controller_with_simulated_time_answers_states(robot):
     """The stamps of the states are its clock; it waits for no other."""
     twin = pure_loop(state_clock="simulated", **GAINS)
@@ -48,9 +54,7 @@ def test_an_activated_controller_holds_where_the_joint_is_now(robot, place):
     for _ in range(30):
         effort = ask(robot, 0.95)
     assert abs(effort) > 0.5  # it holds the joint elsewhere, with an integral
-    assert change(robot, "deactivate")
-    assert change(robot, "activate")
-    robot.wait(lambda: robot.states.get_subscription_count() > 0, what="it to listen")
+    activate_again(robot)
     assert robot.ask_newcomer(next(robot.stamps), place) == 0.0
     assert ask(robot, place) == 0.0
     assert ask(robot, place - 0.1) == pytest.approx(1.0)
@@ -58,6 +62,8 @@ def test_an_activated_controller_holds_where_the_joint_is_now(robot, place):
 
 def test_a_trajectory_from_before_a_deactivation_is_not_followed_after_it(robot):
     """The joint was moved by hand meanwhile: it is held there."""
+    activate_again(robot)
+    robot.ask_newcomer(next(robot.stamps), 0.5)
     motion = minimum_jerk([0.0, 1.0], {"elbow": [0.5, 1.5]})
     references = []
     robot.node.create_subscription(
@@ -71,9 +77,7 @@ def test_a_trajectory_from_before_a_deactivation_is_not_followed_after_it(robot)
         return references and 0.6 < references[-1] < 1.4
 
     robot.wait(is_under_way, what="the motion to be under way")
-    assert change(robot, "deactivate")
-    assert change(robot, "activate")
-    robot.wait(lambda: robot.states.get_subscription_count() > 0, what="it to listen")
+    activate_again(robot)
     efforts = [robot.ask_newcomer(next(robot.stamps), -0.4)]
     efforts += [ask(robot, -0.4) for _ in range(200)]
     assert efforts == [0.0] * 201
