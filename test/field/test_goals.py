@@ -43,7 +43,7 @@ class Arm:
         return self.joints.references[joint][-1][1:]
 
     def references_since(self, count, joint="shoulder"):
-        return np.array(self.joints.references[joint][count:])
+        return np.array(self.joints.references[joint][count:]).reshape(-1, 3)
 
     def rest(self):
         self.joints.run(
@@ -93,6 +93,7 @@ UNFOLLOWABLE = [
 def test_goals_that_nobody_can_follow_end_with_their_reason_while_another_is_followed(arm):
     """No client waits for ever, and the goal under way is not dropped for them."""
     under_way = arm.client.send(arm.to(0.3, -0.3, 1.0))
+    arm.joints.run(lambda: arm.reference()[0] > 0.001, what="the shoulder to move")
     for goal, code, line in UNFOLLOWABLE:
         status, found, text = arm.client.follow(goal())
         assert (status, found, line in text, "\n" in text) == (ABORTED, code, True, False), text
