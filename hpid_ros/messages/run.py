@@ -48,6 +48,7 @@ from hpid_ros.motion.joint_trajectory import (
     Knot,
     ReferenceSample,
     SplineReference,
+    approach,
     segment,
 )
 
@@ -105,23 +106,27 @@ def sample_events(
     """Sample the reference of a joint at each of its states.
 
     As in :class:`hpid_ros.control.JointLoop`, a trajectory takes over with the next state (the
-    first that was logged after it) from where the reference is then, also when its stamp lies
-    ahead. A stamp earlier than that state moves the take-over back to the stamp: a recorder that
-    started late got the latched message later than the controllers. A later message supersedes
-    an earlier one. Before any the joint holds its first position. Glides, whole turns and stops
-    are not in it.
+    first that was logged after it) from where the reference is then; one whose stamp lies ahead
+    at its stamp. A stamp earlier than that state moves the take-over back to the stamp: a
+    recorder that started late got the latched message later than the controllers. A later
+    message supersedes an earlier one that does not begin before it. Before any the joint holds
+    its first position. Glides, what fades, whole turns and stops are not in it.
     """
     spans: list[_Span] = []
     for event in events:
         begin = first_state(event, states, stamps_ns)
         if begin == len(stamps_ns):
             continue
+        now_ns = int(stamps_ns[begin])
+        if event.column.begin_ns > now_ns:  # it begins then, whenever the states come
+            now_ns = event.column.begin_ns
+            begin = int(np.searchsorted(stamps_ns, now_ns))
         while spans and spans[-1].begin >= begin:
             spans.pop()
         before = ReferenceSample(first_position, 0.0, 0.0)
         if spans:
-            before = spans[-1].reference.sample(int(stamps_ns[begin]))
-        spans.append(_span(begin, event.column, int(stamps_ns[begin]), before))
+            before = spans[-1].reference.sample(now_ns)
+        spans.append(_span(begin, event.column, now_ns, before))
     reference = np.full(len(stamps_ns), first_position)
     end = len(stamps_ns)
     for span in reversed(spans):
@@ -146,11 +151,9 @@ def _span(begin: int, column: Column, now_ns: int, before: ReferenceSample) -> _
     reference = column.start(now_ns, before.position, before.velocity)
     start_ns = column.stamp_ns or now_ns
     knots: Sequence[Knot] = column.knots
-    first = knots[0]
-    if now_ns - start_ns < first.time_ns:
-        acceleration = None if first.acceleration is None else 0.0
-        here = Knot(now_ns - start_ns, before.position, before.velocity, acceleration)
-        knots = (here, *knots)
+    if now_ns - start_ns < knots[0].time_ns:
+        here = Knot(now_ns - start_ns, before.position, before.velocity)
+        knots = (approach(here, knots[0]), *knots)
     return _Span(begin, reference, [start_ns + knot.time_ns for knot in knots], list(knots))
 
 

@@ -37,7 +37,7 @@ def decoupled(**values):
 
 
 def test_the_effort_is_the_models_plus_the_gain_times_law_and_acceleration():
-    knots = (Knot(0, 0.0, 0.0, 0.0), Knot(SECOND, 1.0, 0.0, 0.0))
+    knots = (Knot(0, 0.05, 0.0, 0.0), Knot(SECOND, 1.0, 0.0, 0.0))
     for follows in (False, True):
         ours, law = decoupled(), loop(inertia=1.0)
         for each in (ours, law):

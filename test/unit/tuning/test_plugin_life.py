@@ -296,7 +296,7 @@ def test_turns_that_are_counted_are_kept_where_chained_mode_begins(make):
     plugin.set_chained(False)
     now_ns = 10**9 + 700 * MS
     plugin.update(now_ns, *rest)
-    plugin.trajectory("elbow", now_ns - 300 * MS, [MS, 200 * MS], [0.4, 0.5])  # it is under way
+    plugin.trajectory("elbow", now_ns - 300 * MS, [MS, 200 * MS], [-3.5, 0.5])  # it is under way
     for k in range(1, 700):
         plugin.update(now_ns + k * MS, *rest)
     assert reference_of(plugin, "elbow", now_ns + 700 * MS, rest)[0] == pytest.approx(0.5)
