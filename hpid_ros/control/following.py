@@ -39,6 +39,7 @@ from hpid_ros.control.reference import (
 
 _PEAK = 1.875  # largest rate of a smooth step, of its height in its duration
 _GENTLE = 0.2  # of the motion's own speed, by which an offset fades at most where it has the time
+_SLOW = 0.25  # of a motion's largest velocity: with no more it has hardly begun
 _SWING = 0.1755  # largest way of an offset that begins with a velocity, of velocity times duration
 _STREAM_NS = NANOSECONDS  # a message so long after the end of the last one belongs to its stream
 _LONGEST = 3600.0  # [s] of a glide
@@ -334,7 +335,7 @@ class Following:
             if goes_on:
                 self._go_on(here, motion.pace, turns, stamp_ns, duration)
             else:
-                self._glide_onto(here, motion.pace, stamp_ns, duration)
+                self._glide_onto(here, motion.pace, turns, stamp_ns, duration)
             return
         self._glide, self._offset = None, _NONE
         way = motion.start(stamp_ns, here.position - turns, here.velocity)
@@ -380,16 +381,24 @@ class Following:
         length = glide_time(away, duration, min(_own_speed(pace, away) or math.inf, fastest))
         self._set_glide(position, stamp_ns, length, onto)
 
-    def _glide_onto(self, here: _Here, pace: Pace, stamp_ns: int, duration: float) -> None:
-        """Glide onto a motion that came: as long as the way, and its speed by now, are worth."""
+    def _glide_onto(
+        self, here: _Here, pace: Pace, turns: float, stamp_ns: int, duration: float
+    ) -> None:
+        """Glide from rest onto a motion that came, and has begun."""
         onto = self._onto.sample(stamp_ns)
         away = here.position - onto[0]
         own = _own_speed(pace, away)
         length = glide_time(away, duration, min(own or math.inf, here.fastest))
-        if own:
-            gentle = _PEAK / _GENTLE * abs(away) / own
-            length = max(min(gentle, length), duration * min(abs(onto[1]) / own, 1.0))
         self._offset = _NONE
+        if own and length > 0.0 and abs(onto[1]) <= _SLOW * own:
+            # It has hardly begun: no need to lag behind it for so long.
+            self._hull = (
+                min(pace.lowest + turns, here.position),
+                max(pace.highest + turns, here.position),
+            )
+            end_ns = stamp_ns + _nanoseconds(length)
+            self._offset = Offset(away, -onto[1], 0.0, stamp_ns, end_ns)
+            return
         self._set_glide(here.position, stamp_ns, length, onto)
 
     def _set_glide(

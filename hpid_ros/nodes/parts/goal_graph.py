@@ -78,9 +78,7 @@ class GroupTopics:
         # A latched message may be from long before, and comes when its publisher is found: not
         # what the joints follow now. The volatile subscription gets what is sent from now on;
         # what it missed, as its sender was found late, shows in the controllers' references.
-        node.create_subscription(
-            JointTrajectory, "joint_trajectory", self._on_trajectory, RARE, raw=True
-        )
+        node.create_subscription(JointTrajectory, _TOPIC, self._on_trajectory, RARE, raw=True)
         self._reader = GroupReader(tuple(references))
         self._states = [
             subscribe_raw(node, topic, self._on_state, NEWEST_STATES) for topic in state_topics
@@ -159,7 +157,7 @@ class GroupTopics:
     def _others(self, endpoints: Iterable[TopicEndpointInfo]) -> set[str]:
         return set(map(full_name, endpoints)) - {self._node.get_fully_qualified_name()}
 
-    def _on_trajectory(self, raw: bytes, is_latched: bool) -> None:
+    def _on_trajectory(self, raw: bytes) -> None:
         if raw in self._own:
             return
         names, own = named_joints(raw), self._follower.settings.joints

@@ -196,7 +196,7 @@ def test_a_single_stamp_from_the_future_ends_no_goal():
     for _ in range(3):  # and more than one
         group.run(0.2)
         wrong_ns = group.stamp_ns + 3600 * SECOND
-        group.note(group.follower.take_state(wrong_ns, [JointPart(0, 0.3, 0.0)]))
+        group.note(group.follower.take_state(wrong_ns, [JointPart(0, group.position[0], 0.0)]))
     group.run(2.0, until=lambda: group.results)
     assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
 

@@ -13,6 +13,7 @@ constexpr std::int64_t kForever = std::numeric_limits<std::int64_t>::max();
 constexpr std::int64_t kStream = 1000000000;  // [ns] a message so long after an end is of its stream
 constexpr double kPeak = 1.875;     // largest rate of a smooth step
 constexpr double kGentle = 0.2;     // of the motion's own speed
+constexpr double kSlow = 0.25;       // of a motion's largest velocity: it has hardly begun
 constexpr double kSwing = 0.1755;   // largest way of an offset that begins with a velocity
 constexpr double kLongest = 3600.0;  // [s] of a glide
 constexpr double kBeyondByVelocity = 0.18, kBeyondByAcceleration = 0.02;
@@ -246,14 +247,15 @@ void Follower::glide_onto(const Here & here, const Terms & terms)
   const double away = here.position - onto.position;
   const double own = own_speed(motion_->pace, away);
   const double speed = std::min(own != 0.0 ? own : kInfinite, terms.fastest);
-  double length = glide_time(away, terms.takeover_time, speed);
-  if (own != 0.0) {
-    const double gentle = kPeak / kGentle * std::abs(away) / own;
-    const double by_speed =
-      terms.takeover_time * std::min(std::abs(onto.velocity) / own, 1.0);
-    length = std::max(std::min(gentle, length), by_speed);
-  }
+  const double length = glide_time(away, terms.takeover_time, speed);
   offset_.is_there = false;
+  if (own != 0.0 && length > 0.0 && std::abs(onto.velocity) <= kSlow * own) {
+    lowest_ = std::min(motion_->pace.lowest + turns_, here.position);
+    highest_ = std::max(motion_->pace.highest + turns_, here.position);
+    offset_ = {
+      true, away, -onto.velocity, 0.0, terms.now_ns, terms.now_ns + nanoseconds(length)};
+    return;
+  }
   glide_.is_there =
     length > 0.0 && (onto.position != here.position || onto.velocity != 0.0);
   glide_.position = here.position;
