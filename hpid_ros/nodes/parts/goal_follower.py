@@ -31,7 +31,7 @@ from hpid_ros.control.sources import SourceBounds, SourceWatch, source_bounds
 from hpid_ros.control.supervision import standing_stamps
 from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.messages.joint_state import JointPart
-from hpid_ros.motion.joint_trajectory import Column, Knot, checked_column
+from hpid_ros.motion.joint_trajectory import Column, Knot, SplineReference, checked_column
 from hpid_ros.nodes.parts.goals import (
     LEAD_NS,
     Braking,
@@ -46,6 +46,7 @@ from hpid_ros.nodes.parts.goals import (
     Tolerances,
     coast_down,
     for_all_joints,
+    require_inside,
     return_to,
     stop_together,
 )
@@ -104,6 +105,7 @@ class _Joint:
         self.error: Error = (0.0, 0.0)
         self.has_ended = False
         self.outside_since_ns: int | None = None  # when its controller began to disagree
+        self.plan: SplineReference | None = None  # what it asks of the joint
         self._source.reset()
         if self._unwrapper is not None:
             self._unwrapper.reset()
@@ -262,16 +264,28 @@ class GoalFollower:
         for joint in joints:
             if not joint.is_known:
                 joint.rest(joint.position)
-        standing = [joint.peek(now_ns) for joint in joints]
+        taken_ns = max(start_ns, now_ns)  # until then they go on with what they follow
+        standing = [joint.peek(taken_ns) for joint in joints]
         rest = [self._rest(at, *each[:2]) for at, each in enumerate(standing)]
-        nearest = self._nearest(request, start_ns, now_ns)
-        trajectory = for_all_joints(nearest, settings.joints, start_ns, now_ns, standing, rest)
+        nearest = self._nearest(request, start_ns, taken_ns)
+        settling = settings.fixed.takeover_time
+        trajectory = for_all_joints(
+            nearest, settings.joints, start_ns, now_ns, standing, rest, settling
+        )
+        added = len(trajectory.times_ns) - len(request.times_ns)
+        plans = [
+            trajectory.column(at).start(taken_ns, *each[:2]) for at, each in enumerate(standing)
+        ]
+        for joint, plan in zip(joints, plans, strict=True):
+            if joint.name in request.names:
+                facts = settings.facts[settings.joints.index(joint.name)]
+                require_inside(plan, facts, joint.position, joint.name, added)
         is_replaced = self._active is not None
         self._held_late.clear()  # it takes all joints on
         self._follow(trajectory, now_ns)
-        for joint, each in zip(joints, standing, strict=True):
-            joint.compare(each)
-            joint.has_ended, joint.outside_since_ns = False, None
+        for joint, plan in zip(joints, plans, strict=True):
+            joint.compare(joint.peek(now_ns))
+            joint.has_ended, joint.outside_since_ns, joint.plan = False, None, plan
         self._active = _ActiveGoal(now_ns, trajectory.stamp_ns, trajectory.end_ns, tolerances)
         replaced = Result(ResultCode.INVALID_GOAL, "replaced by a new goal")
         return Outcome(replaced if is_replaced else None, trajectory)
@@ -506,9 +520,13 @@ class GoalFollower:
         violated: dict[int, str] = {}
         for at in taken:
             joint = self._joints[at]
-            joint.compare(joint.sample(stamp_ns))
+            followed, plan = joint.sample(stamp_ns), joint.plan
+            # Against the goal's own plan, not against what a glide onto it makes of it.
+            has_begun = plan is not None and stamp_ns >= active.start_ns
+            joint.compare(plan.sample(stamp_ns) if plan is not None and has_begun else followed)
             joint.has_ended = stamp_ns >= active.end_ns
-            if not joint.has_ended and (line := joint.violation(active.tolerances.path)):
+            line = joint.violation(active.tolerances.path)
+            if line and has_begun and not joint.has_ended:
                 violated[at] = line
         if violated:
             return self._violate(ResultCode.PATH_TOLERANCE_VIOLATED, active, violated)
@@ -652,7 +670,7 @@ class GoalFollower:
                 continue
             position, velocity, _ = joint.peek(now_ns)
             if at in blocked:
-                target = position - joint.error[0]
+                target = position - joint.off(position, joint.position)
                 knots[at] = return_to(target, position, velocity, self._braking(at))
             else:
                 later = joint.peek(now_ns + LEAD_NS)

@@ -26,12 +26,20 @@ from hpid_ros.base.errors import (
 )
 from hpid_ros.base.records import ParameterSpec, Record, from_parameters, parameters_of, quantity
 from hpid_ros.base.text import names_text
-from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
+from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.control.reference import LARGEST_POSITION, require_timely
 from hpid_ros.control.settings import StateClock, Value
 from hpid_ros.messages.bounds import LIVE
 from hpid_ros.messages.joint_trajectory import decode_trajectory
-from hpid_ros.motion.joint_trajectory import Column, Integers, Knot, PointArrays, checked_column
+from hpid_ros.motion.joint_trajectory import (
+    Column,
+    Integers,
+    Knot,
+    PointArrays,
+    SplineReference,
+    approach,
+    checked_column,
+)
 
 
 class ResultCode(IntEnum):
@@ -241,6 +249,7 @@ class JointFacts(NamedTuple):
     # whether goals lead it the shorter way round to their first point
     takes_shorter_way: bool = False
     unit: str = "rad"  # of its position, rad or m
+    fastest: float = math.inf  # [rad/s] its velocity limit; inf for none
 
 
 def require_joints(
@@ -306,6 +315,7 @@ def _of_joint(joint: str, values: Mapping[str, Value]) -> JointParameters:
 
 _EFFORTS = PointArrays._fields.index("efforts")
 _AT_REST = 1.2e-7  # [rad/s, m/s], float32's epsilon, as JTC takes it
+_FASTER = 1.1  # planners hold velocity limits at their points, and splines between them less so
 _ROUNDED = 1e-6  # [rad, m]; limits are written with few digits, and planned with more
 # One point may be put before those of a goal.
 _BOUNDS = LIVE._replace(points=LIVE.points - 1, mixed_points=LIVE.mixed_points - 1)
@@ -423,6 +433,33 @@ class GroupTrajectory:
         return checked_column(name, joint, self.stamp_ns, self.times_ns, self.arrays)
 
 
+def require_inside(
+    plan: SplineReference, facts: JointFacts, here: float, name: str, added: int
+) -> None:
+    """Refuse what leads a joint beyond its limits between two points, or on the way to the first.
+
+    A joint that is beyond them may be led back. So many points were put before those of the goal.
+    """
+    low, high = min(facts.lower - _ROUNDED, here), max(facts.upper + _ROUNDED, here)
+    fastest = facts.fastest * _FASTER
+    for place, lowest, highest, speed in plan.swings():
+        index = place - added
+        way = f"between point {index - 1} and point {index}"
+        way = way if index > 0 else "on its way to point 0"
+        unit = facts.unit
+        if lowest < low or highest > high:
+            value = lowest if lowest < low else highest
+            raise GoalError(
+                f"{way} the spline leads {name} to {value:.4g} {unit}, its limits are "
+                f"{facts.lower:g} and {facts.upper:g} {unit}"
+            )
+        if speed > fastest:
+            raise GoalError(
+                f"{way} the spline moves {name} at {speed:.4g} {unit}/s, its limit is "
+                f"{facts.fastest:g} {unit}/s"
+            )
+
+
 def for_all_joints(
     request: GoalRequest,
     joints: Sequence[str],
@@ -430,12 +467,16 @@ def for_all_joints(
     now_ns: int,
     standing: Sequence[Sequence[float]],
     rest: Sequence[float],
+    settling: float,
 ) -> GroupTrajectory:
     """Return the trajectory of all joints for a goal, which may name some of them only.
 
-    The others rest. The first point is never in the future: where the goal's own is,
+    The others rest. One that starts later is sent as it is: until then controllers go on with
+    what they follow. Of any other the first point is never in the future: where the goal's own is,
     one is put before it, at which the joints are where their references stand now. So the goal
     is under way for every controller, whenever it takes it up, and none of them jumps: it glides.
+    A joint that is too fast for a spline to the first point that swings beyond neither end comes
+    to rest first, within ``settling`` [s].
     """
     named = [joints.index(name) for name in request.names]
     times_ns = request.times_ns
@@ -447,17 +488,45 @@ def for_all_joints(
         values[np.isnan(given[:, 0])] = np.nan
         arrays.append(values)
     before_ns = max(now_ns - 1, 0) - start_ns
-    if times_ns[0] > before_ns:
-        times_ns = np.concatenate([[before_ns], times_ns])
+    if start_ns <= now_ns and times_ns[0] > before_ns:
+        here = np.array([rest, np.zeros(len(joints)), np.zeros(len(joints))])
+        for joint in named:
+            here[:, joint] = standing[joint][:3]
+        rows = [(before_ns, here), *_settled(before_ns, here, times_ns, arrays, settling)]
+        times_ns = np.concatenate([[time_ns for time_ns, _ in rows], times_ns])
         for order, values in enumerate(arrays):
-            if order == _EFFORTS:  # until its own first point as there, as a spline has it
-                first = values[0]
-            else:
-                first = np.array(rest if order == 0 else [0.0] * len(joints))
-                first[named] = [standing[joint][order] for joint in named]
-                first[np.isnan(values[0])] = np.nan
-            arrays[order] = np.vstack([first, values])
+            # Efforts are until the goal's first point as there, as a spline has it.
+            first = [values[0] if order == _EFFORTS else row[order] for _, row in rows]
+            first = [np.where(np.isnan(values[0]), np.nan, row) for row in first]
+            arrays[order] = np.vstack([*first, values])
     return GroupTrajectory(tuple(joints), start_ns, times_ns, PointArrays(*arrays))
+
+
+def _settled(
+    before_ns: int, here: Numbers, times_ns: Integers, arrays: Sequence[Numbers], settling: float
+) -> list[tuple[int, Numbers]]:
+    """Return the point at which joints that are too fast have come to rest, if there are any."""
+    to_first_ns = int(times_ns[0]) - before_ns
+    duration_ns = min(round(settling * NANOSECONDS), to_first_ns // 2)
+    if np.isnan(arrays[1][0]).any() or duration_ns <= 0:
+        return []  # straight lines swing nowhere
+    there = np.empty_like(here)
+    is_any_fast = False
+    for joint in range(here.shape[1]):
+        rows = here[:, joint].tolist(), [float(each[0, joint]) for each in arrays[:3]]
+        has_all = not math.isnan(rows[1][2])
+        start, end = (
+            Knot(time_ns, row[0], row[1], row[2] if has_all else None)
+            for time_ns, row in zip((0, to_first_ns), rows, strict=True)
+        )
+        position, velocity = rows[0][:2]
+        if approach(start, end).velocity == velocity:
+            there[:, joint] = Column("", (start, end), 1).start(1, None).sample(1 + duration_ns)
+            continue
+        way = 0.5 * velocity * duration_ns * SECONDS_PER_NANOSECOND
+        there[:, joint] = position + way, 0.0, 0.0
+        is_any_fast = True
+    return [(before_ns + duration_ns, there)] if is_any_fast else []
 
 
 # How joints stop. One that follows goes on as it would have for a moment, so that whenever its

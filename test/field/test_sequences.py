@@ -1,0 +1,209 @@
+"""A reference is a sequence of messages: streams as tools send them, and anything at all.
+
+ros2_controllers#2607 and #2491, moveit2#287, moveit#2375; #2401 and #2419 for what starts later.
+"""
+
+import numpy as np
+import pytest
+from harness.examples import examples
+from harness.groups import SECOND, SimulatedGroup, at_rest, goal
+from harness.loops import pure_loop
+from harness.streams import SmoothMotion, Stream, anything, draws, played
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from hpid_ros.control.following import Following
+from hpid_ros.motion import Column, Knot
+from hpid_ros.nodes.parts.goals import GoalError, JointFacts, ResultCode
+
+MS = 1_000_000
+SEEDS = st.integers(0, 2**32)
+
+
+def moved(motion, time, seconds):
+    """Return how far a motion comes from where it was, at most, within seconds before a time."""
+    times = [time - seconds * share / 12.0 for share in range(13)]
+    return max(abs(motion(time) - motion(each)) for each in times)
+
+
+@given(SEEDS)
+@examples(2)
+def test_a_stream_of_one_motion_is_followed_on_that_motion(seed):
+    draw = draws(seed)
+    motion, stream = SmoothMotion(draw), Stream.by_chance(draw)
+    takeover_time, period = draw.choice([0.0, 0.05, 0.2, 0.5, 2.0]), draw.uniform(0.001, 0.01)
+    arrivals = list(stream.arrivals(draw, motion, 5.0))
+    usable = sum(each.end >= each.time for each in arrivals)
+    if usable < 0.9 * len(arrivals):
+        return  # most of it had ended before it came
+    following = Following()
+    following.stand(motion(0.0))
+    late = stream.late + stream.later + max(stream.begin, 0.0) + period
+    gap = (
+        stream.period * (1 + stream.has_losses)
+        + late
+        + 3.0 * stream.period * (usable < len(arrivals))
+    )
+    chord = 0.0 if stream.derivatives else 6.0 * (2.0 * stream.spacing) ** 2 / 8.0
+    for time, position, _ in played(following, arrivals, period, 5.0, takeover_time):
+        if time > takeover_time + gap:
+            allowed = moved(motion, time, gap) + chord + 1e-3
+            assert abs(position - motion(time)) <= allowed, (seed, time)
+
+
+@given(SEEDS, st.sampled_from([0.05, 0.2, 0.5, 2.0]))
+@examples(2)
+def test_whatever_is_sent_the_reference_stays_within_what_was_given(seed, takeover_time):
+    draw = draws(seed)
+    following = Following()
+    following.stand(draw.uniform(-1.0, 1.0))
+    arrivals = anything(draw, 2.0)
+    for time, position, _ in played(following, arrivals, 0.001, 2.0, takeover_time):
+        assert -1.0 <= position <= 1.0, (seed, time)
+
+
+@given(SEEDS, st.sampled_from([0.05, 0.2, 0.5]))
+@examples(2)
+def test_beyond_what_was_given_the_reference_goes_as_far_as_the_velocities_explain(
+    seed, takeover_time
+):
+    draw = draws(seed)
+    following = Following()
+    following.stand(draw.uniform(-1.0, 1.0))
+    arrivals = anything(draw, 2.0, speed=1.0)
+    beyond = 1.0 + 0.36 * (1.0 + takeover_time)  # splines of a second, and an offset
+    for time, position, _ in played(following, arrivals, 0.001, 2.0, takeover_time):
+        assert abs(position) <= beyond, (seed, time)
+
+
+@given(SEEDS)
+@examples(1)
+def test_where_windows_overlap_the_velocity_is_that_of_the_motion(seed):
+    draw = draws(seed)
+    motion = SmoothMotion(draw)
+    period = draw.choice([0.01, 0.034])
+    stream = Stream(period, 40, period, -0.1, 1, 0.5 * period, 0.0, True, True)
+    following = Following()
+    following.stand(motion(0.0))
+    arrivals = stream.arrivals(draw, motion, 4.0)
+    for time, position, velocity in played(following, arrivals, 0.002, 4.0, 0.3):
+        if time > 0.7:
+            assert position == pytest.approx(motion(time), abs=1e-3)
+            assert velocity == pytest.approx(
+                motion(time, 1), abs=0.02 + 0.2 * abs(motion(time, 1))
+            )
+
+
+@pytest.mark.parametrize("takeover_time", [0.1, 0.5, 2.0])
+@pytest.mark.parametrize("every", [2, 5, 20, 100])
+def test_messages_that_end_before_the_next_one_never_lead_the_other_way(every, takeover_time):
+    """0.5 rad/s, each message now and one period ahead, taken late: -6.85 rad for +0.75."""
+    following = Following()
+    following.stand(0.0)
+    speed, lowest = 0.5, 0.0
+    for k in range(3000):
+        if k % every == 1:
+            sent = (k - 1) * MS
+            ahead = every * MS
+            knots = (Knot(0, speed * sent * 1e-9, speed),)
+            knots = (*knots, Knot(ahead, speed * (sent + ahead) * 1e-9, speed))
+            following.follow(Column("elbow", knots, SECOND + sent))
+        position, velocity, _ = following.sample(SECOND + k * MS, takeover_time, None)
+        lowest = min(lowest, velocity)
+        if k * 1e-3 > takeover_time + 0.1:
+            assert position == pytest.approx(speed * k * 1e-3, abs=speed * 1e-3 * (every + 2))
+    assert lowest >= -1e-9
+
+
+def elbow_moving(**facts):
+    """Return a group whose elbow is on its way from 0 to 1 rad in 2 s, in the middle."""
+    group = SimulatedGroup(("elbow",), {"elbow": JointFacts(**facts)}, start_ns=100 * SECOND)
+    group.run(0.2)
+    ahead = {"elbow": [1.0]}
+    group.begin(goal(ahead, [2.0], at_rest(ahead)))
+    group.run(1.0)
+    assert 0.4 < group.position[0] < 0.6
+    return group
+
+
+def test_a_goal_that_starts_later_leaves_what_runs_now_until_then():
+    group = elbow_moving(lower=-1.2, upper=1.2, fastest=3.0)
+    back = {"elbow": [1.0, 0.5]}
+    start_ns = group.stamp_ns + 3 * SECOND
+    group.begin(goal(back, [0.0, 1.0], at_rest(back), stamp_ns=start_ns))
+    farthest, before = 0.0, []
+    while len(group.results) != 2 and group.stamp_ns < start_ns + 3 * SECOND:
+        group.step()
+        farthest = max(farthest, group.position[0])
+        if group.stamp_ns < start_ns:
+            before.append(group.loops[0].reference[0])
+    assert farthest < 1.05  # neither plan leads beyond 1
+    assert before[-1] == pytest.approx(1.0, abs=1e-6)
+    assert np.diff(before).min() >= -1e-9
+    assert [each.code for each in group.results][-1] is ResultCode.SUCCESSFUL
+    assert group.loops[0].reference[0] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_goal_whose_first_point_comes_late_swings_nowhere():
+    """The cubic from 0.75 rad/s to a point in 20 s passed 2.8 rad."""
+    group = elbow_moving()
+    back = {"elbow": [1.0, 0.5]}
+    group.begin(goal(back, [20.0, 22.0], at_rest(back)))
+    places = []
+    for _ in range(22_000):
+        group.step()
+        places.append(group.loops[0].reference[0])
+    assert min(places) > 0.45
+    assert max(places) < 1.0 + 1e-6
+    assert places[-1] == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("facts", "path", "times", "velocities", "line"),
+    [
+        ({"upper": 1.1}, [1.0, 1.0], [1.0, 3.0], [1.0, 0.0], "between point 0 and point 1"),
+        (
+            {"fastest": 1.0},
+            [1.0],
+            [0.5],
+            [0.0],
+            "on its way to point 0 the spline moves elbow at 3",
+        ),
+    ],
+)
+def test_splines_are_held_to_the_limits_as_points_are(facts, path, times, velocities, line):
+    group = SimulatedGroup(("elbow",), {"elbow": JointFacts(**facts)}, start_ns=100 * SECOND)
+    group.run(0.1)
+    request = goal({"elbow": path}, times, {"elbow": velocities})
+    with pytest.raises(GoalError, match=line):
+        group.begin(request)
+
+
+def test_a_path_tolerance_is_judged_against_the_goals_own_plan():
+    """A goal that began half a second ago is glided onto: that is no excuse for its joint."""
+    group = SimulatedGroup(
+        ("elbow",), start_ns=100 * SECOND, **{"constraints.elbow.trajectory": 0.1}
+    )
+    group.run(0.2)
+    there = {"elbow": [0.0, 1.0]}
+    group.begin(goal(there, [0.0, 1.0], at_rest(there), stamp_ns=group.stamp_ns - SECOND // 2))
+    group.run(1.0, until=lambda: group.results)
+    assert group.results[0].code is ResultCode.PATH_TOLERANCE_VIOLATED
+
+
+@example([(1.0, 2.0)])
+@given(st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(0.05, 3.0)), min_size=1, max_size=5))
+@examples(1)
+def test_a_glide_is_no_faster_than_the_motion_and_the_joint(ways):
+    """2 rad in 0.5 s were 8.2 rad/s, planned with 1.5."""
+    for way, duration in ways:
+        loop = pure_loop(takeover_time=0.1, **{"velocity_max": 2.0})
+        loop.step(100 * SECOND, 0.0, 0.0)
+        knots = (Knot(0, way, 0.0), Knot(round(duration * SECOND), 2.0 * way, 0.0))
+        loop.follow(Column("elbow", knots, 1))  # over by then, as after a restart
+        fastest = 0.0
+        for k in range(1, 400):
+            loop.step(100 * SECOND + 5 * k * MS, loop.reference[0], 0.0)
+            fastest = max(fastest, abs(loop.reference[1]))
+        planned = min(abs(way) / duration, 2.0)
+        assert fastest <= max(planned, 1.875 * 2.0 * abs(way) / 3600.0) * (1.0 + 1e-6) + 1e-9
