@@ -312,13 +312,22 @@ class Following:
             motion = waiting.pop(0)
             # What was there in time begins in time, whenever the states come.
             is_in_time = any(motion is each for each in were_in_time)
-            self._begin(motion, motion.begin_ns if is_in_time else stamp_ns, duration, limits)
+            self._begin(motion, stamp_ns, is_in_time, duration, limits)
         self._waiting = tuple(waiting[:_MOST_WAITING])
 
     def _begin(
-        self, motion: Motion, stamp_ns: int, duration: float, limits: MotionLimits | None
+        self,
+        motion: Motion,
+        stamp_ns: int,
+        is_in_time: bool,
+        duration: float,
+        limits: MotionLimits | None,
     ) -> None:
-        """Turn to a motion: from where the reference stands, or onto it if it is under way."""
+        """Turn to a motion: from where the reference stands, or onto it if it is under way.
+
+        One whose first point is the state that it starts with is followed from there as it is.
+        """
+        stamp_ns = motion.begin_ns if is_in_time else stamp_ns
         here = self._here(stamp_ns, limits)
         self.gives_effort, self.has_new_motion = motion.gives_effort, True
         is_under_way, turn = motion.is_under_way(stamp_ns), self.turn
@@ -326,7 +335,7 @@ class Following:
             turn = turn or self.encoder_turn
         self._is_first = False
         is_exact = motion.goes_by_time and motion.first_ns(stamp_ns) == stamp_ns
-        goes_on = is_exact or (is_under_way and here.is_running)
+        goes_on = (is_exact and is_in_time) or (is_under_way and here.is_running)
         nearest = here.joined[0] if goes_on else here.position
         turns = whole_turns(nearest - motion.target(stamp_ns), turn) if turn else 0.0
         self._active = motion
@@ -340,7 +349,7 @@ class Following:
         self._glide, self._offset = None, _NONE
         way = motion.start(stamp_ns, here.position - turns, here.velocity)
         self._reference = shifted(way, turns)
-        if motion.goes_by_time and duration:
+        if motion.goes_by_time and duration and not is_exact:
             self._approach(here, motion, turns, stamp_ns, duration)
 
     def _here(self, stamp_ns: int, limits: MotionLimits | None) -> _Here:

@@ -14,7 +14,7 @@ from harness.examples import examples
 from harness.graph import Told
 from harness.groups import MS, moving, started
 from harness.loops import pure_loop
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
 
@@ -61,6 +61,7 @@ def watched(*streams, **bounds):
 def test_two_sources_are_recognised_with_the_second_state_of_the_other(
     rates, apart, speed, clock, lag
 ):
+    assume(apart + 0.5 * min(speed, 0.0) > 0.05)  # they do not meet meanwhile
     driver = stream(rates[0], lambda at: apart + speed * (at - 1.0))
     zeros = stream(rates[1], lambda at: 0.0, begin=1.0, end=1.5, clock=clock, lag=lag)
     begun, ended = watched(driver, zeros)

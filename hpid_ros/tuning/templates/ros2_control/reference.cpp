@@ -157,13 +157,14 @@ Reference Follower::sample(const Terms & terms)
   offset_.is_there = offset_.is_there && now_ns < offset_.end_ns;
   while (count_ > 0 && begin_of(waiting_[0], now_ns) == now_ns) {
     const Motion & motion = *waiting_[0].motion;
+    const bool is_in_time = waiting_[0].was_in_time;
     Terms then = terms;  // what was there in time begins in time, whenever the states come
-    then.now_ns = waiting_[0].was_in_time ? waiting_[0].begin_ns : now_ns;
+    then.now_ns = is_in_time ? waiting_[0].begin_ns : now_ns;
     std::move(
       waiting_.begin() + 1, waiting_.begin() + static_cast<std::ptrdiff_t>(count_),
       waiting_.begin());
     --count_;
-    begin(motion, then);
+    begin(motion, is_in_time, then);
   }
   for (std::size_t k = 0; k < count_; ++k) {
     waiting_[k].was_in_time = true;
@@ -199,7 +200,7 @@ Follower::Here Follower::here(const Terms & terms)
   return found;
 }
 
-void Follower::begin(const Motion & motion, const Terms & terms)
+void Follower::begin(const Motion & motion, bool is_in_time, const Terms & terms)
 {
   const std::int64_t now_ns = terms.now_ns;
   const Here stands = here(terms);
@@ -213,7 +214,7 @@ void Follower::begin(const Motion & motion, const Terms & terms)
   const std::int64_t since_ns = now_ns - start_ns_;
   const bool is_under_way = !motion.is_setpoint && since_ns > first.time_ns;
   const bool is_exact = !motion.is_setpoint && since_ns == first.time_ns;
-  const bool goes_on = is_exact || (is_under_way && stands.is_running);
+  const bool goes_on = (is_exact && is_in_time) || (is_under_way && stands.is_running);
   const double target = is_under_way ? on_motion(now_ns).position : first.position;
   const double nearest = goes_on ? stands.joined : stands.position;
   const double turn =
@@ -226,7 +227,7 @@ void Follower::begin(const Motion & motion, const Terms & terms)
     glide_onto(stands, terms);
   } else {
     glide_.is_there = offset_.is_there = false;
-    if (!motion.is_setpoint) {
+    if (!motion.is_setpoint && !is_exact) {
       Knot start;
       start.time_ns = since_ns;
       start.position = stands.position - turns_;

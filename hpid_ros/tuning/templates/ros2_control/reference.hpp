@@ -129,7 +129,7 @@ private:
   };
 
   void rest(double position);
-  void begin(const Motion & motion, const Terms & terms);
+  void begin(const Motion & motion, bool is_in_time, const Terms & terms);
   Here here(const Terms & terms);
   void glide_onto(const Here & here, const Terms & terms);
   void go_on(const Here & here, const Terms & terms);
