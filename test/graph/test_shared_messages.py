@@ -1,7 +1,7 @@
 """Controllers of one process that read each state once and answer it with one message."""
 
 import threading
-from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 from harness.graph import Told, change, ros_arguments
 from rclpy.qos import qos_profile_sensor_data
@@ -153,7 +153,8 @@ def test_what_another_thread_gives_takes_the_place_of_an_answer_that_waits(harne
         supervisor.join()
         wrist.send(MS, 4.0)
 
-    shared.listen(SimpleNamespace(guarded=lambda topic, callback: callback), take)
+    controller = MagicMock(guarded=lambda topic, callback: callback)
+    shared.listen(controller, take)
     harness.wait(lambda: listeners(harness) > 0, what="the subscription to match")
     tell(harness, 0, 0.5)
     harness.wait(lambda: len(harness.commands) == 2, what="the answers")
