@@ -189,7 +189,7 @@ class Following:
         self._arrived: tuple[Motion, ...] = ()  # since the last sample
         self._waiting: tuple[Motion, ...] = ()  # those that begin later, in that order
         self._active: Motion | None = None  # what the reference is of
-        self.has_waited = False  # a setpoint, for the first state or a takeover
+        self.has_waited = False  # for the first state, or a takeover: no step is meant
         self.turn = self.encoder_turn = 0.0
         self.restart()
 
@@ -242,11 +242,11 @@ class Following:
     ) -> None:
         """Start from a position again, and glide onto what is followed."""
         onto, active = self._reference, self._active
-        self.has_waited = bool(self._arrived) and isinstance(self._arrived[-1], Setpoint)
         due = [each for each in self._waiting if each.begin_ns <= stamp_ns]  # too late by now
         self._arrived = (*due, *self._arrived)
         self._waiting = self._waiting[len(due) :]
         is_replaced = any(_begin_ns(each, stamp_ns) == stamp_ns for each in self._arrived)
+        self.has_waited = is_replaced
         self.stand(position)
         if active is None or onto is None or is_replaced:
             return
@@ -325,7 +325,7 @@ class Following:
     ) -> None:
         """Turn to a motion: from where the reference stands, or onto it if it is under way.
 
-        One whose first point is the state that it starts with is followed from there as it is.
+        One whose first point is the state that it starts with is followed from rest as it is.
         """
         stamp_ns = motion.begin_ns if is_in_time else stamp_ns
         here = self._here(stamp_ns, limits)
@@ -335,11 +335,13 @@ class Following:
             turn = turn or self.encoder_turn
         self._is_first = False
         is_exact = motion.goes_by_time and motion.first_ns(stamp_ns) == stamp_ns
-        goes_on = (is_exact and is_in_time) or (is_under_way and here.is_running)
+        has_begun = is_under_way or is_exact
+        goes_on = (is_exact and is_in_time) or (has_begun and here.is_running)
         nearest = here.joined[0] if goes_on else here.position
         turns = whole_turns(nearest - motion.target(stamp_ns), turn) if turn else 0.0
         self._active = motion
-        if goes_on or is_under_way or self.has_waited:
+        has_waited = self.has_waited and (is_exact or not motion.goes_by_time)
+        if goes_on or is_under_way or has_waited:
             self._reference = shifted(motion.start(stamp_ns, None, 0.0), turns)
             if goes_on:
                 self._go_on(here, motion.pace, turns, stamp_ns, duration)

@@ -214,7 +214,8 @@ void Follower::begin(const Motion & motion, bool is_in_time, const Terms & terms
   const std::int64_t since_ns = now_ns - start_ns_;
   const bool is_under_way = !motion.is_setpoint && since_ns > first.time_ns;
   const bool is_exact = !motion.is_setpoint && since_ns == first.time_ns;
-  const bool goes_on = (is_exact && is_in_time) || (is_under_way && stands.is_running);
+  const bool has_begun = is_under_way || is_exact;
+  const bool goes_on = (is_exact && is_in_time) || (has_begun && stands.is_running);
   const double target = is_under_way ? on_motion(now_ns).position : first.position;
   const double nearest = goes_on ? stands.joined : stands.position;
   const double turn =
