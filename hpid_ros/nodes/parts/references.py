@@ -12,9 +12,6 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy
-from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -39,9 +36,7 @@ from hpid_ros.nodes.core.middleware import (
     LATCHED,
     OFFERED,
     RARE,
-    declare_overrides,
     overridable,
-    steady_timer,
 )
 from hpid_ros.nodes.core.parameters import read
 
@@ -59,17 +54,13 @@ TRAJECTORY = "joint_trajectory"
 _COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
 
 
-_LATCHED_FOR = 5.0  # [s] for the latched message, which is sent when publisher and reader match
-_LOOK_AGAIN = 0.5  # [s] after a match, which the graph may not show at once
-
-
 class TrajectorySubscriptions:
     """Takes ``joint_trajectory`` from latched and from volatile publishers alike.
 
     A subscription that asks for the latched message gets nothing at all from a volatile
-    publisher (``ros2 topic pub``, rqt, MoveIt), whose log says so, and a volatile one gets
-    nothing that was published before. So there is a volatile one, and while a latched publisher
-    is new another one, for what it had published before. What comes by both is taken once.
+    publisher (``ros2 topic pub``, rqt, MoveIt), and a volatile one gets nothing that was
+    published before. So there are both, and what a latched publisher sends to both is taken
+    once.
     """
 
     def __init__(self, node: Node, take: Callable[[bytes, bool], None]) -> None:
@@ -77,47 +68,8 @@ class TrajectorySubscriptions:
         self._take = take  # with whether it is latched: it may be from before the subscription
         self._taken: tuple[bool, bytes] | None = None
         self._taken_at = -math.inf
-        self._latched: Subscription | None = None
-        self._known: set[bytes] = set()  # latched publishers that were asked
-        self._timers: dict[Callable[[], None], Timer] = {}
-        declare_overrides(node, TRAJECTORY, LATCHED)
-        self._volatile = node.create_subscription(
-            JointTrajectory,
-            TRAJECTORY,
-            partial(self._on_message, False),
-            RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(matched=lambda _: self._matched()),
-        )
-        self._look()
-
-    def close(self) -> None:
-        for timed in list(self._timers):
-            self._stop(timed)
-        self._end_latched()
-        self._node.destroy_subscription(self._volatile)
-
-    def _matched(self) -> None:
-        self._look()
-        self._start(self._look_again, _LOOK_AGAIN)
-
-    def _look_again(self) -> None:
-        self._stop(self._look_again)
-        self._look()
-
-    def _look(self) -> None:
-        """Ask latched publishers that are new for what they had published before."""
-        latched = {
-            bytes(each.endpoint_gid)
-            for each in self._node.get_publishers_info_by_topic(self._volatile.topic_name)
-            if each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        }
-        is_new, self._known = not latched <= self._known, latched
-        if not is_new:
-            return
-        self._end_latched()
-        # Only this profile may be overridden: both would have the same parameters.
-        self._latched = self._node.create_subscription(
+        # Only the contract's profile may be overridden: both would have the same parameters.
+        latched = node.create_subscription(
             JointTrajectory,
             TRAJECTORY,
             partial(self._on_message, True),
@@ -127,22 +79,19 @@ class TrajectorySubscriptions:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=overridable(),
         )
-        self._start(self._end_latched, _LATCHED_FOR)
+        volatile = node.create_subscription(
+            JointTrajectory,
+            TRAJECTORY,
+            partial(self._on_message, False),
+            RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
+            raw=True,
+        )
+        self._subscriptions = [latched, volatile]
 
-    def _end_latched(self) -> None:
-        self._stop(self._end_latched)
-        if self._latched is not None:
-            self._node.destroy_subscription(self._latched)
-            self._latched = None
-
-    def _start(self, timed: Callable[[], None], after: float) -> None:
-        self._stop(timed)
-        self._timers[timed] = steady_timer(self._node, after, timed)
-
-    def _stop(self, timed: Callable[[], None]) -> None:
-        timer = self._timers.pop(timed, None)
-        if timer is not None:
-            self._node.destroy_timer(timer)
+    def close(self) -> None:
+        for each in self._subscriptions:
+            self._node.destroy_subscription(each)
+        self._subscriptions = []
 
     def _on_message(self, is_latched: bool, raw: bytes) -> None:
         now = time.monotonic()
