@@ -5,14 +5,16 @@ A topic in another namespace (lbr_fri_ros2_stack#275, kinova-ros#212), joints of
 quality of service (rosbag2#967, ros2cli#593), nobody there (moveit2#2645, ar4_ros_driver#66).
 """
 
+import time
 from itertools import count
 
 import pytest
 from harness.goals import needs_control_msgs
-from harness.graph import ros_arguments
+from harness.graph import NAME, ros_arguments
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 VOLATILE = QoSProfile(depth=5, durability=DurabilityPolicy.VOLATILE)
@@ -180,3 +182,14 @@ def test_two_action_servers_of_one_name_warn_of_each_other(robot):
     robot.requires(dict.fromkeys(logs, line))
     robot._harness.processes.stop(["second"])
     robot.requires({logs[0]: f"no other action server is called {name}/follow_joint_trajectory"})
+
+
+def test_a_volatile_publisher_of_trajectories_is_not_told_that_nothing_is_sent(harness, capfd):
+    """rclpy warned of the latched subscription, though the volatile one takes what it sends."""
+    harness.start_controller(NAME, "elbow", gains__p=1.0, stop="zero")
+    harness.ask_newcomer(1_000_000, 0.0)
+    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", VOLATILE)
+    harness.wait(publisher.get_subscription_count, what="a match")
+    end = time.monotonic() + 1.0
+    harness.wait(lambda: time.monotonic() > end, what="a warning that should not come")
+    assert "incompatible" not in capfd.readouterr().err

@@ -13,10 +13,12 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Iterator
+from enum import Enum
 from functools import cache
 from threading import Lock
 from weakref import WeakKeyDictionary
 
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -110,6 +112,23 @@ def overridable() -> QoSOverridingOptions:
     """
     kinds = QoSPolicyKind
     return QoSOverridingOptions((kinds.HISTORY, kinds.DEPTH, kinds.RELIABILITY, kinds.LIFESPAN))
+
+
+def declare_overrides(node: Node, topic: str, profile: QoSProfile) -> None:
+    """Declare the overrides of a subscription that is made later, as rclpy does when it is.
+
+    Dumps of parameters have them, and what is given for them is read, whether it is there or not.
+    """
+    full = node.resolve_topic_name(topic)
+    for kind in overridable().policy_kinds:
+        policy = kind.name.lower()
+        name = f"qos_overrides.{full}.subscription.{policy}"
+        if kind is QoSPolicyKind.LIFESPAN or node.has_parameter(name):
+            continue
+        value = getattr(profile, policy)
+        described = ParameterDescriptor(description=f"{policy} on {full}", read_only=True)
+        default = value.name.lower() if isinstance(value, Enum) else value
+        node.declare_parameter(name, default, described)
 
 
 def subscribe_raw(

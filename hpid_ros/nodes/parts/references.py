@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
@@ -12,6 +13,9 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -36,7 +40,9 @@ from hpid_ros.nodes.core.middleware import (
     LATCHED,
     OFFERED,
     RARE,
+    declare_overrides,
     overridable,
+    steady_timer,
 )
 from hpid_ros.nodes.core.parameters import read
 
@@ -52,24 +58,63 @@ def column_of(decoded: TrajectoryArrays, joint: str) -> Column | None:
 TRAJECTORY = "joint_trajectory"
 
 _COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
+_MATCHED_WITHIN = 10.0  # [s] a latched subscription that is new brings what there is
+_COPIES = 64  # of what has come by one, to be known by the other
+_LOOK_PERIOD = 1.0  # [s]; the graph may not show at once who is there
 
 
 class TrajectorySubscriptions:
     """Takes ``joint_trajectory`` from latched and from volatile publishers alike.
 
     A subscription that asks for the latched message gets nothing at all from a volatile
-    publisher (``ros2 topic pub``, rqt, MoveIt), and a volatile one gets nothing that was
-    published before. So there are both, and what a latched publisher sends to both is taken
-    once.
+    publisher (``ros2 topic pub``, rqt, MoveIt), whose log says so, and a volatile one gets
+    nothing that was published before. So there is a volatile one, and from the first latched
+    publisher on another one, which stays: made anew, it would bring old messages again. What
+    comes by both is taken once.
     """
 
     def __init__(self, node: Node, take: Callable[[bytes, bool], None]) -> None:
         self._node = node
         self._take = take  # with whether it is latched: it may be from before the subscription
-        self._taken: tuple[bool, bytes] | None = None
-        self._taken_at = -math.inf
-        # Only the contract's profile may be overridden: both would have the same parameters.
-        latched = node.create_subscription(
+        self._uncopied: dict[bool, deque[tuple[int, float]]] = {
+            is_latched: deque(maxlen=_COPIES) for is_latched in (False, True)
+        }
+        self._latched: Subscription | None = None
+        self._latched_since = math.inf
+        # Only the latched one's profile may be overridden: both would have the same parameters.
+        declare_overrides(node, TRAJECTORY, LATCHED)
+        self._volatile = node.create_subscription(
+            JointTrajectory,
+            TRAJECTORY,
+            partial(self._on_message, False),
+            RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(matched=lambda _: self._look()),
+        )
+        self._timer: Timer | None = steady_timer(node, _LOOK_PERIOD, self._look)
+        self._look()
+
+    def close(self) -> None:
+        self._end_timer()
+        for each in (self._volatile, self._latched):
+            if each is not None:
+                self._node.destroy_subscription(each)
+
+    def _end_timer(self) -> None:
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            self._node.destroy_timer(timer)
+
+    def _look(self) -> None:
+        """Ask latched publishers for what they had published before, from the first one on."""
+        if self._timer is None or not any(
+            each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            for each in self._node.get_publishers_info_by_topic(self._volatile.topic_name)
+        ):
+            return
+        self._end_timer()
+        self._latched_since = time.monotonic()
+        self._latched = self._node.create_subscription(
             JointTrajectory,
             TRAJECTORY,
             partial(self._on_message, True),
@@ -79,26 +124,16 @@ class TrajectorySubscriptions:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=overridable(),
         )
-        volatile = node.create_subscription(
-            JointTrajectory,
-            TRAJECTORY,
-            partial(self._on_message, False),
-            RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
-            raw=True,
-        )
-        self._subscriptions = [latched, volatile]
-
-    def close(self) -> None:
-        for each in self._subscriptions:
-            self._node.destroy_subscription(each)
-        self._subscriptions = []
 
     def _on_message(self, is_latched: bool, raw: bytes) -> None:
-        now = time.monotonic()
-        if self._taken == (not is_latched, raw) and now - self._taken_at < _COPIED_WITHIN:
-            self._taken = None  # its second copy; the next one is meant
-            return
-        self._taken, self._taken_at = (is_latched, raw), now
+        now, key = time.monotonic(), hash(raw)
+        others = self._uncopied[not is_latched]
+        is_new = now < self._latched_since + _MATCHED_WITHIN
+        for each, taken_at in others:
+            if each == key and (now < taken_at + _COPIED_WITHIN or (is_latched and is_new)):
+                others.remove((each, taken_at))
+                return
+        self._uncopied[is_latched].append((key, now))
         self._take(raw, is_latched)
 
 

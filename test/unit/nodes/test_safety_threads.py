@@ -131,18 +131,59 @@ def subscribed(node):
     return [call.args[2] for call in node.create_subscription.call_args_list]
 
 
+def test_only_a_latched_publisher_is_asked_for_what_it_had_published():
+    """A volatile one would be told that nothing is sent, by its own log."""
+    publishers = [publisher(b"a", DurabilityPolicy.VOLATILE)]
+    subscriptions, node, _ = trajectory_subscriptions()
+    node.get_publishers_info_by_topic.side_effect = lambda _: list(publishers)
+    subscriptions._look()
+    assert len(subscribed(node)) == 1
+    publishers.append(publisher(b"b"))
+    subscriptions._look()
+    assert len(subscribed(node)) == 2
+    node.destroy_timer.assert_called_once()
+    publishers[1:] = [publisher(b"c")]  # a second one of them would get what is old again
+    subscriptions._look()
+    assert len(subscribed(node)) == 2
+    subscriptions.close()
+    assert node.destroy_subscription.call_count == 2
+    node.destroy_timer.assert_called_once()
+
+
 def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
     _, node, taken = trajectory_subscriptions(publisher(b"a"))
-    latched, volatile = subscribed(node)
-    first, second = (JointTrajectory(joint_names=[name]) for name in ("elbow", "wrist"))
+    volatile, latched = subscribed(node)
     for receive, message in (
-        *((latched, first), (volatile, first)),  # both copies, in either order
-        *((volatile, second), (latched, second)),
-        *((latched, second), (volatile, second)),  # published once more
-        (volatile, second),  # by somebody who does not latch
+        *((latched, b"first"), (volatile, b"first")),  # both copies, in either order
+        *((volatile, b"second"), (latched, b"second")),
+        *((latched, b"second"), (volatile, b"second")),  # published once more
+        (volatile, b"second"),  # by somebody who does not latch
+        *((volatile, b"third"), (volatile, b"fourth")),  # the copies later, and the other way
+        *((latched, b"fourth"), (latched, b"third")),
     ):
         receive(message)
-    assert taken == [first, second, second, second]
+    assert taken == [b"first", b"second", b"second", b"second", b"third", b"fourth"]
+
+
+def test_what_was_taken_before_there_was_a_latched_subscription_is_not_taken_again(monkeypatch):
+    publishers, now = [], [0.0]
+    monkeypatch.setattr(controller_references.time, "monotonic", lambda: now[0])
+    subscriptions, node, taken = trajectory_subscriptions()
+    node.get_publishers_info_by_topic.side_effect = lambda _: list(publishers)
+    (volatile,) = subscribed(node)
+    volatile(b"first's")
+    now[0] = 1.5
+    volatile(b"second's")
+    publishers.append(publisher(b"a"))
+    now[0] = 2.5  # the graph shows it late
+    subscriptions._look()
+    _, latched = subscribed(node)
+    now[0] = 4.0  # a busy machine
+    latched(b"second's")
+    latched(b"first's")
+    assert taken == [b"first's", b"second's"]
+    latched(b"third's")
+    assert taken[2:] == [b"third's"]
 
 
 def test_a_trajectory_that_comes_again_later_is_another_one(monkeypatch):
@@ -298,6 +339,9 @@ class Listener:
     def create_subscription(self, kind, topic, callback, *more, **options):
         self.callbacks[topic] = callback
         return SimpleNamespace(topic_name=topic)
+
+    def create_timer(self, period, callback, **options):
+        return None
 
     def get_publishers_info_by_topic(self, topic):
         return []
