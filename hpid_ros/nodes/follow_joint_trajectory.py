@@ -154,7 +154,7 @@ class JointTrajectoryController(executor.ClosingNode):
             topics,
             {joint: f"{controller_name(joint)}/reference" for joint in joints},
             self._act,
-            self._health.fault,
+            self._health,
             self._note_conflict,
         )
         self._server = GoalServer(
@@ -274,7 +274,7 @@ class JointTrajectoryController(executor.ClosingNode):
         if names != self._namesakes:
             self._namesakes = names
             if line:
-                self._health.fault(line)
+                self._health.warn(line)
             else:
                 self.get_logger().info(f"no other action server is called {self._server.name} now")
         return line

@@ -367,7 +367,7 @@ class JointCommandMerger(ManagedNode):
         """Leave joints that are another's after all: zeros would be in its way."""
         if self.is_starting and not was_held:
             raise error
-        self._health.fault(f"deactivated: {error}")
+        self._health.warn(f"deactivated: {error}")
         self._output.forget()
         if self.is_active:
             self.trigger_deactivate()
@@ -500,7 +500,7 @@ class JointCommandMerger(ManagedNode):
         self._named.clear()
         self._waiting_log.begin()
         if self._is_unusable:
-            self._health.fault(self._reported)
+            self._health.warn(self._reported)
         else:
             log_change(self, self._reported or f"merging: {', '.join(self._receiver.joints)}")
         self._report()
@@ -508,7 +508,7 @@ class JointCommandMerger(ManagedNode):
     def _report_silences(self, merger: CommandMerger) -> None:
         """Report at once who has fallen silent, or has come back."""
         if merger.has_begun and merger.silent:
-            self._health.fault(_shown_silent(merger))
+            self._health.warn(_shown_silent(merger))
         self._report()
 
     def refuse(self, line: str) -> None:

@@ -230,7 +230,7 @@ class JointController(ManagedNode):
         """Leave a joint that is another's after all: a damping ramp would be in its way."""
         if self.is_starting and not was_held:
             raise error
-        self._health.fault(f"deactivated: {error}")
+        self._health.warn(f"deactivated: {error}")
         if self.is_active:
             self.trigger_deactivate()
         self._stopping.end()
@@ -396,7 +396,7 @@ class JointController(ManagedNode):
         unit = self._health.unit("N m")
         line = f"no new state for {silence:.3g} s: the effort is {effort:g} {unit}"
         self._standstill = self._find_standstill()
-        self._health.fault(f"{line}; {self._standstill}" if self._standstill else line)
+        self._health.warn(f"{line}; {self._standstill}" if self._standstill else line)
         self._report()
 
     def _find_standstill(self) -> str:
@@ -453,7 +453,7 @@ class JointController(ManagedNode):
             log_change(self, "states come again: the joint is controlled")
         before, self._standstill = self._standstill, self._find_standstill()
         if self._standstill and not before:
-            self._health.fault(self._standstill)
+            self._health.warn(self._standstill)
         if self._is_conflict_reported and self._loop.state in IN_CONTROL:
             self._is_conflict_reported = False
             log_change(self, "states come from one source again: the joint is controlled")

@@ -164,9 +164,14 @@ class Diagnostics:
         self.fault(line)
 
     def fault(self, line: str) -> None:
-        """Note one line for something that could not be used, or has gone wrong; it is logged."""
+        """Note one line for what could not be used, and log it if none was just logged."""
         self.last_fault = line = bounded(line, LONGEST_FAULT)
         self._node.get_logger().warning(line, throttle_duration_sec=1.0)
+
+    def warn(self, line: str) -> None:
+        """Note and log one line for what has changed for the worse, whatever was logged before."""
+        self.last_fault = bounded(line, LONGEST_FAULT)
+        log_change(self._node, line, is_warning=True)
 
     def error(self, line: str) -> None:
         """Note and log one line for what is wrong now, whatever was logged before it."""
