@@ -39,7 +39,7 @@ from hpid_ros.nodes.core.middleware import (
     subscribe_raw,
 )
 from hpid_ros.nodes.core.parameters import read
-from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.core.status import StatusPipe, log_change
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
 from hpid_ros.nodes.parts.goal_graph import GroupTopics
 from hpid_ros.nodes.parts.goals import GoalRequest, GroupSettings, JointFacts, ResultCode
@@ -288,6 +288,7 @@ class Exciter(MovingNode):
             references,
             self._act,
             lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0),
+            lambda line: log_change(self, line, is_warning=True),
             lambda line: self.get_logger().error(line) if line else None,
         )
         self._reason, self._ended = "", 0.0

@@ -154,7 +154,8 @@ class JointTrajectoryController(executor.ClosingNode):
             topics,
             {joint: f"{controller_name(joint)}/reference" for joint in joints},
             self._act,
-            self._health,
+            self._health.fault,
+            self._health.warn,
             self._note_conflict,
         )
         self._server = GoalServer(

@@ -27,7 +27,6 @@ from hpid_ros.nodes.core.middleware import (
     subscribe_raw,
     wait_until_acknowledged,
 )
-from hpid_ros.nodes.core.status import Diagnostics
 from hpid_ros.nodes.core.waiting import (
     PUBLISHER,
     SeenJoints,
@@ -65,10 +64,12 @@ class GroupTopics:
         state_topics: Sequence[str],
         references: Mapping[str, str],
         act: Callable[[Outcome | None], None],
-        health: Diagnostics,
+        fault: Callable[[str], None],
+        warn: Callable[[str], None],
         note_conflict: Callable[[str], None],
     ) -> None:
-        self._node, self._follower, self._act, self._health = node, follower, act, health
+        self._node, self._follower, self._act = node, follower, act
+        self._fault, self._warn = fault, warn
         self._note_conflict, self._has_conflict = note_conflict, False
         self.misread = self.stood_still = 0
         self._own: deque[bytes] = deque(maxlen=_OWN_KEPT)
@@ -215,7 +216,7 @@ class GroupTopics:
 
     def _refuse(self, line: str) -> None:
         self.misread += 1
-        self._health.fault(line)
+        self._fault(line)
 
     def _wake(self) -> None:
         """Notice that the process has stood still: what is waiting for it is old."""
@@ -224,7 +225,7 @@ class GroupTopics:
         if stood > self._look_period + _STOOD_STILL:
             self._follower.allow_late(stood)
             self.stood_still += 1
-            self._health.fault(f"this process stood still for {stood:.3g} s")
+            self._fault(f"this process stood still for {stood:.3g} s")
 
     def _look_for_states(self) -> None:
         """Count for how long there has been no new state, while this process has run."""
@@ -237,4 +238,4 @@ class GroupTopics:
             self._act(self._follower.note_timeout(self._silence))
             before, self._standstill = self._standstill, self._follower.standstill
             if self._standstill and not before:
-                self._health.warn(self._standstill)
+                self._warn(self._standstill)
