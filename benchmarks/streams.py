@@ -3,8 +3,10 @@
 Each is of one motion, 0.6 rad at 0.15 Hz and 0.15 rad at 0.4 Hz; the loop takes states at 1 kHz,
 with ``takeover_time`` 0.5 s. Printed are, from 1 s on, the largest distance of the reference from
 the motion, the largest difference of their velocities, the largest step of the reference between
-two states, and the share of time without a message that covers it. Exit codes: 0 measured, 2
-unusable arguments, 130 interrupted.
+two states, and the share of time without a message that covers it. With ``--nodes`` all streams
+are sent at once, in real time, to a controller each, with states at 200 Hz, and what is measured
+is what the controllers report as their references; their lateness is then the machine's, too.
+Exit codes: 0 measured, 1 controllers that do not come up, 2 unusable arguments, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from benchmarks.nodes.streamer import on_nodes
+from hpid_ros.base.errors import RunError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.following import Following
 from hpid_ros.motion.joint_trajectory import Column, Knot
@@ -23,7 +27,7 @@ from hpid_ros.motion.joint_trajectory import Column, Knot
 PERIOD, TAKEOVER, SETTLED = 0.001, 0.5, 1.0  # [s]
 _ORIGIN = 10.0  # [s] the clock's time at the stream's beginning
 _WAVES = ((0.6, 2.0 * math.pi * 0.15), (0.15, 2.0 * math.pi * 0.4))
-_BAD_INPUT, _INTERRUPTED = 2, 130
+_FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
 
 class Stream(NamedTuple):
@@ -61,13 +65,31 @@ STREAMS = (
 )
 
 
-class Deviation(NamedTuple):
+class Deviation:
     """What became of a stream."""
 
-    distance: float  # [rad] of the reference from the motion
-    rate: float  # [rad/s] of their velocities
-    step: float  # [rad] of the reference between two states
-    uncovered: float  # share of the time
+    def __init__(self) -> None:
+        self.distance = 0.0  # [rad] of the reference from the motion
+        self.rate = 0.0  # [rad/s] of their velocities
+        self.step = 0.0  # [rad] of the reference between two states
+        self._states = self._bare = 0
+        self._before: float | None = None
+
+    @property
+    def uncovered(self) -> float:
+        """Share of the time."""
+        return self._bare / max(self._states, 1)
+
+    def take(self, time: float, position: float, velocity: float, covered: float) -> None:
+        """Take a reference at a time, of what covers the motion until some time; in [s]."""
+        if time > SETTLED:
+            self._states += 1
+            self._bare += covered < time
+            self.distance = max(self.distance, abs(position - motion(time)))
+            self.rate = max(self.rate, abs(velocity - motion(time, 1)))
+            if self._before is not None:
+                self.step = max(self.step, abs(position - self._before))
+        self._before = position
 
 
 def motion(time: float, order: int = 0) -> float:
@@ -104,9 +126,7 @@ def measured(stream: Stream, seconds: float) -> Deviation:
     following.stand(motion(0.0))
     coming = messages(stream, seconds)
     newest = next(coming, None)
-    distance = rate = step = covered = 0.0
-    before: float | None = None
-    bare = states = 0
+    covered, found = 0.0, Deviation()
     for k in range(int(seconds / PERIOD)):
         time = k * PERIOD
         while newest is not None and newest[0] <= time:
@@ -114,20 +134,15 @@ def measured(stream: Stream, seconds: float) -> Deviation:
             covered, newest = newest[2], next(coming, None)
         stamp_ns = round((_ORIGIN + time) * NANOSECONDS)
         position, velocity, _ = following.sample(stamp_ns, TAKEOVER, None)
-        if time > SETTLED:
-            states += 1
-            bare += covered < time
-            distance = max(distance, abs(position - motion(time)))
-            rate = max(rate, abs(velocity - motion(time, 1)))
-            step = max(step, abs(position - before) if before is not None else 0.0)
-        before = position
-    return Deviation(distance, rate, step, bare / max(states, 1))
+        found.take(time, position, velocity, covered)
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure all streams."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.streams", description=__doc__)
     parser.add_argument("--minutes", type=float, default=1.0, help="of each stream")
+    parser.add_argument("--nodes", action="store_true", help="on real nodes, in real time")
     options = parser.parse_args(arguments)
     if not 0.05 <= options.minutes <= 600.0:
         print(f"--minutes must be from 0.05 to 600, not {options.minutes:g}", file=sys.stderr)
@@ -139,16 +154,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(
         f"{'stream':50s}{'away [mrad]':>12s}{'rate [rad/s]':>13s}{'step [mrad]':>12s}{'bare':>7s}"
     )
+    seconds = 60.0 * options.minutes
     try:
-        for stream in STREAMS:
-            found = measured(stream, 60.0 * options.minutes)
-            print(
-                f"{stream.title:50s}{1e3 * found.distance:12.2f}{found.rate:13.3f}"
-                f"{1e3 * found.step:12.2f}{100.0 * found.uncovered:6.1f}%"
-            )
+        if options.nodes:
+            founds = [Deviation() for _ in STREAMS]
+            streams = [messages(stream, seconds) for stream in STREAMS]
+            on_nodes(streams, motion, founds, seconds, _ORIGIN)
+            for stream, found in zip(STREAMS, founds, strict=True):
+                _print(stream, found)
+        else:
+            for stream in STREAMS:
+                _print(stream, measured(stream, seconds))
+    except RunError as error:
+        print(error, file=sys.stderr)
+        return _FAILED
     except KeyboardInterrupt:
         return _INTERRUPTED
     return 0
+
+
+def _print(stream: Stream, found: Deviation) -> None:
+    print(
+        f"{stream.title:50s}{1e3 * found.distance:12.2f}{found.rate:13.3f}"
+        f"{1e3 * found.step:12.2f}{100.0 * found.uncovered:6.1f}%",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":
