@@ -457,6 +457,8 @@ class JointController(ManagedNode):
         if self._is_conflict_reported and self._loop.state in IN_CONTROL:
             self._is_conflict_reported = False
             log_change(self, "states come from one source again: the joint is controlled")
+        if self._references is not None:
+            self._references.look()
         waiting = "" if self._is_listening else self._waits_for()
         claim = self._claim
         self._health.report(self.lifecycle, waiting, claim.text, claim.refusal, self._standstill)

@@ -15,7 +15,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -42,7 +41,6 @@ from hpid_ros.nodes.core.middleware import (
     RARE,
     declare_overrides,
     overridable,
-    steady_timer,
 )
 from hpid_ros.nodes.core.parameters import read
 
@@ -60,7 +58,6 @@ TRAJECTORY = "joint_trajectory"
 _COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
 _MATCHED_WITHIN = 10.0  # [s] a latched subscription that is new brings what there is
 _COPIES = 64  # of what has come by one, to be known by the other
-_LOOK_PERIOD = 1.0  # [s]; the graph may not show at once who is there
 
 
 class TrajectorySubscriptions:
@@ -89,30 +86,25 @@ class TrajectorySubscriptions:
             partial(self._on_message, False),
             RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(matched=lambda _: self._look()),
+            event_callbacks=SubscriptionEventCallbacks(matched=lambda _: self.look()),
         )
-        self._timer: Timer | None = steady_timer(node, _LOOK_PERIOD, self._look)
-        self._look()
+        self.look()
 
     def close(self) -> None:
-        self._end_timer()
         for each in (self._volatile, self._latched):
             if each is not None:
                 self._node.destroy_subscription(each)
 
-    def _end_timer(self) -> None:
-        timer, self._timer = self._timer, None
-        if timer is not None:
-            self._node.destroy_timer(timer)
+    def look(self) -> None:
+        """Ask latched publishers for what they had published before, from the first one on.
 
-    def _look(self) -> None:
-        """Ask latched publishers for what they had published before, from the first one on."""
-        if self._timer is None or not any(
+        To be called now and then: the graph may not show at once who is there.
+        """
+        if self._latched is not None or not any(
             each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             for each in self._node.get_publishers_info_by_topic(self._volatile.topic_name)
         ):
             return
-        self._end_timer()
         self._latched_since = time.monotonic()
         self._latched = self._node.create_subscription(
             JointTrajectory,
@@ -212,6 +204,10 @@ class ControllerReferences:
         )
         self._trajectories = trajectories
         self._subscriptions: list[Any] = [setpoint, relays]
+
+    def look(self) -> None:
+        """Look for latched publishers, as :meth:`TrajectorySubscriptions.look`."""
+        self._trajectories.look()
 
     def discard(self) -> None:
         """Forget what is still being decoded."""
