@@ -176,19 +176,21 @@ def topic_view(
 
 def _elsewhere(node: Node, topic: str, wanted: str, role: str) -> tuple[str, ...]:
     """Return topics of the wanted type that have what is missed, those of a like name first."""
-    find = (
-        node.get_publishers_info_by_topic
-        if role == PUBLISHER
-        else node.get_subscriptions_info_by_topic
-    )
-    own = node.get_fully_qualified_name()
+    own = _own_nodes()
+
+    def is_meant(name: str) -> bool:
+        """Tell whether others have there what is missed, and this process has nothing to do."""
+        publishers = node.get_publishers_info_by_topic(name)
+        subscriptions = node.get_subscriptions_info_by_topic(name)
+        ends = publishers if role == PUBLISHER else subscriptions
+        return any(not wanted or end.topic_type == wanted for end in ends) and own.isdisjoint(
+            map(full_name, (*publishers, *subscriptions))
+        )
+
     known = [
         name
         for name, types in node.get_topic_names_and_types()
-        if name != topic
-        and (not wanted or wanted in types)
-        and not name.startswith(f"{own}/")
-        and any(not wanted or end.topic_type == wanted for end in find(name))
+        if name != topic and (not wanted or wanted in types) and is_meant(name)
     ]
     if role == PUBLISHER and wanted and not any(_last(name) == _last(topic) for name in known):
         return tuple(sorted(known))
@@ -200,9 +202,13 @@ def _last(topic: str) -> str:
     return topic.rpartition("/")[2]
 
 
+def _own_nodes() -> set[str]:
+    return {str(each.get_fully_qualified_name()) for each in ClosingNode.made}
+
+
 def _alone(node: Node) -> int | None:
     """Return the domain where nobody else is seen in it, but those of this process."""
-    own = {str(each.get_fully_qualified_name()) for each in ClosingNode.made}
+    own = _own_nodes()
     found = {f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()}
     others = [name for name in found - own if not name.rpartition("/")[2].startswith("_")]
     return None if others else int(node.context.get_domain_id())
