@@ -58,6 +58,7 @@ TRAJECTORY = "joint_trajectory"
 _COPIED_WITHIN = 2.0  # [s] a message comes by both subscriptions, if by both
 _MATCHED_WITHIN = 10.0  # [s] a latched subscription that is new brings what there is
 _COPIES = 64  # of what has come by one, to be known by the other
+_WAITS = 0.05  # [s] what comes by the latched one alone, for the other
 
 
 class TrajectorySubscriptions:
@@ -66,31 +67,46 @@ class TrajectorySubscriptions:
     A subscription that asks for the latched message gets nothing at all from a volatile
     publisher (``ros2 topic pub``, rqt, MoveIt), whose log says so, and a volatile one gets
     nothing that was published before. So there is a volatile one, and from the first latched
-    publisher on another one, which stays: made anew, it would bring old messages again. What
-    comes by both is taken once.
+    publisher on another one, which stays: made anew, it would bring old messages again.
+
+    The volatile one brings all that is published from now on, in its order; the latched one may
+    be ahead of it. So what comes by the latched one waits for a moment, and is taken where it
+    does not come by the other, nor anything newer.
     """
 
-    def __init__(self, node: Node, take: Callable[[bytes, bool], None]) -> None:
-        self._node = node
-        self._take = take  # with whether it is latched: it may be from before the subscription
-        self._uncopied: dict[bool, deque[tuple[int, float]]] = {
-            is_latched: deque(maxlen=_COPIES) for is_latched in (False, True)
-        }
+    def __init__(
+        self, node: ClosingNode, joint: str, take: Callable[[bytes, bool, bool], None]
+    ) -> None:
+        self._node, self._joint = node, joint
+        # With whether it is latched, so perhaps from before the subscription, and can be read.
+        self._take = take
         self._latched: Subscription | None = None
         self._latched_since = math.inf
+        self._volatile_copies: deque[tuple[int, float]] = deque(maxlen=_COPIES)
+        self._latched_copies: deque[tuple[int, float]] = deque(maxlen=_COPIES)
+        self._waiting: dict[bool, tuple[bytes, float]] = {}  # by whether it can be read
+        self._timer: threading.Timer | None = None
         # Only the latched one's profile may be overridden: both would have the same parameters.
         declare_overrides(node, TRAJECTORY, LATCHED)
         self._volatile = node.create_subscription(
             JointTrajectory,
             TRAJECTORY,
-            partial(self._on_message, False),
+            self._on_volatile,
             RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(matched=lambda _: self.look()),
         )
         self.look()
 
+    def discard(self) -> None:
+        """Forget what waits: something newer has come, or nothing is taken any more."""
+        self._waiting.clear()
+
     def close(self) -> None:
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            timer.cancel()
+        self.discard()
         for each in (self._volatile, self._latched):
             if each is not None:
                 self._node.destroy_subscription(each)
@@ -109,7 +125,7 @@ class TrajectorySubscriptions:
         self._latched = self._node.create_subscription(
             JointTrajectory,
             TRAJECTORY,
-            partial(self._on_message, True),
+            self._on_latched,
             LATCHED,
             raw=True,
             # Without rclpy's warning of publishers that are not latched: the other takes them.
@@ -117,16 +133,62 @@ class TrajectorySubscriptions:
             qos_overriding_options=overridable(),
         )
 
-    def _on_message(self, is_latched: bool, raw: bytes) -> None:
-        now, key = time.monotonic(), hash(raw)
-        others = self._uncopied[not is_latched]
+    def _on_volatile(self, raw: bytes) -> None:
+        is_readable = self._is_readable(raw)
+        if is_readable is None:
+            return
+        self._waiting.pop(is_readable, None)  # it is older, or comes by this subscription, too
+        now = time.monotonic()
+        if _has_come(self._latched_copies, raw, now - _COPIED_WITHIN):
+            return
+        self._volatile_copies.append((hash(raw), now))
+        self._take(raw, False, is_readable)
+
+    def _on_latched(self, raw: bytes) -> None:
+        is_readable = self._is_readable(raw)
+        now = time.monotonic()
         is_new = now < self._latched_since + _MATCHED_WITHIN
-        for each, taken_at in others:
-            if each == key and (now < taken_at + _COPIED_WITHIN or (is_latched and is_new)):
-                others.remove((each, taken_at))
-                return
-        self._uncopied[is_latched].append((key, now))
-        self._take(raw, is_latched)
+        since = -math.inf if is_new else now - _COPIED_WITHIN
+        if is_readable is None or _has_come(self._volatile_copies, raw, since):
+            return
+        self._waiting[is_readable] = raw, now
+        self._wait()
+
+    def _is_readable(self, raw: bytes) -> bool | None:
+        """Tell whether a message can be read; None where it is about other joints.
+
+        What others follow, as what nobody can read, replaces nothing that waits.
+        """
+        names = named_joints(raw)
+        return None if names is not None and self._joint not in names else names is not None
+
+    def _wait(self) -> None:
+        if self._timer is None:
+            self._timer = threading.Timer(_WAITS, self._node.hand_over, [self._take_waiting])
+            self._timer.daemon = True
+            self._timer.start()
+
+    def _take_waiting(self) -> None:
+        if self._timer is None:
+            return  # closed meanwhile
+        self._timer, now = None, time.monotonic()
+        for is_readable, (raw, came_at) in list(self._waiting.items()):
+            if now >= came_at + _WAITS:
+                del self._waiting[is_readable]
+                self._latched_copies.append((hash(raw), now))
+                self._take(raw, True, is_readable)
+        if self._waiting:
+            self._wait()
+
+
+def _has_come(copies: deque[tuple[int, float]], raw: bytes, since: float) -> bool:
+    """Tell whether the other subscription has brought a message, and forget that it has."""
+    key = hash(raw)
+    for copy in copies:
+        if copy[0] == key and copy[1] > since:
+            copies.remove(copy)
+            return True
+    return False
 
 
 Decoded = TrajectoryArrays | Exception
@@ -195,7 +257,7 @@ class ControllerReferences:
         self._follow, self._relay = follow, relay
         self._refuse, self._reason_against = refuse, reason_against
         self._arrived = self._followed = self._discarded = 0  # references, in their order
-        trajectories = TrajectorySubscriptions(node, self._on_trajectory)
+        trajectories = TrajectorySubscriptions(node, joint, self._on_trajectory)
         setpoint = node.create_subscription(
             Float64, "~/setpoint", self._on_setpoint, RARE, raw=True
         )
@@ -212,6 +274,7 @@ class ControllerReferences:
     def discard(self) -> None:
         """Forget what is still being decoded."""
         self._discarded = self._arrived
+        self._trajectories.discard()
 
     def close(self) -> None:
         self.discard()
@@ -220,14 +283,11 @@ class ControllerReferences:
             self._node.destroy_subscription(each)
         self._subscriptions = []
 
-    def _on_trajectory(self, raw: bytes, is_latched: bool) -> None:
-        names = named_joints(raw)
-        if names is not None and self._joint not in names:
-            return  # what others follow, as what nobody can read, replaces nothing that waits
+    def _on_trajectory(self, raw: bytes, is_latched: bool, is_readable: bool) -> None:
         self._arrived += 1
         take = partial(self._decoded, self._arrived, self._reason_against(), is_latched)
         guarded = self._node.guarded(TRAJECTORY, take)
-        reference_decoder().decode((self, names is None), raw, guarded)
+        reference_decoder().decode((self, is_readable), raw, guarded)
 
     def _decoded(
         self, number: int, reason_against: str, is_latched: bool, decoded: Decoded
@@ -262,6 +322,7 @@ class ControllerReferences:
                 self._followed = number
 
     def _on_setpoint(self, raw: bytes) -> None:
+        self._trajectories.discard()
         self._arrived += 1
         found: Motion | HpidError
         try:

@@ -112,12 +112,53 @@ def test_a_joint_that_was_left_is_not_commanded_by_another_thread():
     assert sent == [(MS, 5.0), (MS, 0.0)]
 
 
-def trajectory_subscriptions(*publishers):
-    """Return subscriptions next to these publishers, their node, and what was taken."""
-    node, taken = MagicMock(), []
-    node.get_publishers_info_by_topic.side_effect = lambda _: list(publishers)
-    taken_of = TrajectorySubscriptions(node, lambda raw, is_latched: taken.append(raw))
-    return taken_of, node, taken
+class Subscribed:
+    """Subscriptions next to publishers, the messages they have taken, and a clock."""
+
+    def __init__(self, monkeypatch, *publishers):
+        self.now, self.taken, self.publishers = 0.0, [], list(publishers)
+        self.node, self._timers = MagicMock(), []
+        self.node.get_publishers_info_by_topic.side_effect = lambda _: list(self.publishers)
+        monkeypatch.setattr(controller_references.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(controller_references.threading, "Timer", self._timer)
+        self.subscriptions = TrajectorySubscriptions(
+            self.node, "elbow", lambda raw, is_latched, is_readable: self.taken.append(raw)
+        )
+
+    def _timer(self, within, hand_over, arguments):
+        self._timers.append((self.now + within, *arguments))
+        return MagicMock()
+
+    @property
+    def callbacks(self):
+        """Of all that was ever subscribed: the volatile one, the latched one."""
+        return [call.args[2] for call in self.node.create_subscription.call_args_list]
+
+    def volatile(self, *messages):
+        for each in messages:
+            self.callbacks[0](each)
+
+    def latched(self, *messages):
+        for each in messages:
+            self.callbacks[1](each)
+
+    def wait(self, seconds):
+        """Let time pass, and call what is due."""
+        self.now += seconds
+        while due := [each for each in self._timers if each[0] <= self.now]:
+            self._timers = [each for each in self._timers if each not in due]
+            for _, call in due:
+                call()
+
+
+def told(time, *joints):
+    """Return the bytes of a trajectory that is told from others by a time."""
+    message = JointTrajectory(joint_names=list(joints or ["elbow"]))
+    message.header.stamp.sec = time
+    return serialize_message(message)
+
+
+FIRST, SECOND, THIRD = (told(time) for time in (1, 2, 3))
 
 
 def publisher(name, durability=DurabilityPolicy.TRANSIENT_LOCAL):
@@ -126,73 +167,96 @@ def publisher(name, durability=DurabilityPolicy.TRANSIENT_LOCAL):
     )
 
 
-def subscribed(node):
-    """Return the callbacks of all that was ever subscribed."""
-    return [call.args[2] for call in node.create_subscription.call_args_list]
-
-
-def test_only_a_latched_publisher_is_asked_for_what_it_had_published():
+def test_only_a_latched_publisher_is_asked_for_what_it_had_published(monkeypatch):
     """A volatile one would be told that nothing is sent, by its own log."""
-    publishers = [publisher(b"a", DurabilityPolicy.VOLATILE)]
-    subscriptions, node, _ = trajectory_subscriptions()
-    node.get_publishers_info_by_topic.side_effect = lambda _: list(publishers)
-    subscriptions.look()
-    assert len(subscribed(node)) == 1
-    publishers.append(publisher(b"b"))
-    subscriptions.look()
-    assert len(subscribed(node)) == 2
-    publishers[1:] = [publisher(b"c")]  # a second one of them would get what is old again
-    subscriptions.look()
-    assert len(subscribed(node)) == 2
-    subscriptions.close()
-    assert node.destroy_subscription.call_count == 2
+    given = Subscribed(monkeypatch, publisher(b"a", DurabilityPolicy.VOLATILE))
+    given.subscriptions.look()
+    assert len(given.callbacks) == 1
+    given.publishers.append(publisher(b"b"))
+    given.subscriptions.look()
+    assert len(given.callbacks) == 2
+    given.publishers[1:] = [publisher(b"c")]  # a second one of them would get what is old again
+    given.subscriptions.look()
+    assert len(given.callbacks) == 2
+    given.subscriptions.close()
+    assert given.node.destroy_subscription.call_count == 2
 
 
-def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
-    _, node, taken = trajectory_subscriptions(publisher(b"a"))
-    volatile, latched = subscribed(node)
-    for receive, message in (
-        *((latched, b"first"), (volatile, b"first")),  # both copies, in either order
-        *((volatile, b"second"), (latched, b"second")),
-        *((latched, b"second"), (volatile, b"second")),  # published once more
-        (volatile, b"second"),  # by somebody who does not latch
-        *((volatile, b"third"), (volatile, b"fourth")),  # the copies later, and the other way
-        *((latched, b"fourth"), (latched, b"third")),
-    ):
-        receive(message)
-    assert taken == [b"first", b"second", b"second", b"second", b"third", b"fourth"]
+def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once(monkeypatch):
+    given = Subscribed(monkeypatch, publisher(b"a"))
+    given.latched(FIRST)
+    given.volatile(FIRST, SECOND)
+    given.latched(SECOND, SECOND)
+    given.volatile(SECOND, SECOND)  # once more, and then by somebody who does not latch
+    given.wait(1.0)
+    assert given.taken == [FIRST, SECOND, SECOND, SECOND]
+
+
+@pytest.mark.parametrize("is_first", [False, True])
+def test_the_message_that_was_published_last_is_taken_last_whichever_comes_first(
+    monkeypatch, is_first
+):
+    """The latched subscription keeps one: it is ahead where both have come before it is read."""
+    given = Subscribed(monkeypatch, publisher(b"a"))
+    if is_first:
+        given.latched(SECOND)
+    given.volatile(FIRST)
+    if not is_first:
+        given.latched(SECOND)
+    given.volatile(SECOND)
+    given.wait(1.0)
+    assert given.taken == [FIRST, SECOND]
+
+
+def test_what_had_been_published_before_is_taken_unless_something_newer_comes(monkeypatch):
+    given = Subscribed(monkeypatch, publisher(b"a"))
+    given.latched(FIRST)
+    given.volatile(told(9, "wrist"), b"unreadable")  # what concerns others does not replace it
+    assert given.taken == [b"unreadable"]
+    given.wait(0.06)
+    assert given.taken == [b"unreadable", FIRST]
+    given.latched(SECOND)
+    given.volatile(THIRD)
+    given.latched(FIRST)
+    given.subscriptions.discard()  # a setpoint has come
+    given.wait(1.0)
+    assert given.taken == [b"unreadable", FIRST, THIRD]
+    given.latched(SECOND)
+    given.subscriptions.close()
+    given.wait(1.0)
+    assert given.taken == [b"unreadable", FIRST, THIRD]
 
 
 def test_what_was_taken_before_there_was_a_latched_subscription_is_not_taken_again(monkeypatch):
-    publishers, now = [], [0.0]
-    monkeypatch.setattr(controller_references.time, "monotonic", lambda: now[0])
-    subscriptions, node, taken = trajectory_subscriptions()
-    node.get_publishers_info_by_topic.side_effect = lambda _: list(publishers)
-    (volatile,) = subscribed(node)
-    volatile(b"first's")
-    now[0] = 1.5
-    volatile(b"second's")
-    publishers.append(publisher(b"a"))
-    now[0] = 2.5  # the graph shows it late
-    subscriptions.look()
-    _, latched = subscribed(node)
-    now[0] = 4.0  # a busy machine
-    latched(b"second's")
-    latched(b"first's")
-    assert taken == [b"first's", b"second's"]
-    latched(b"third's")
-    assert taken[2:] == [b"third's"]
+    given = Subscribed(monkeypatch)
+    given.volatile(FIRST)
+    given.wait(1.5)
+    given.volatile(SECOND)
+    given.publishers.append(publisher(b"a"))
+    given.wait(1.0)  # the graph shows it late
+    given.subscriptions.look()
+    given.wait(1.5)  # a busy machine
+    given.latched(SECOND, FIRST)
+    given.wait(1.0)
+    assert given.taken == [FIRST, SECOND]
+    given.latched(THIRD)
+    given.wait(1.0)
+    assert given.taken == [FIRST, SECOND, THIRD]
 
 
 def test_a_trajectory_that_comes_again_later_is_another_one(monkeypatch):
     """A late joiner had the latched one, and somebody sends the same with a volatile publisher."""
-    taken, now = [], [0.0]
-    monkeypatch.setattr(controller_references.time, "monotonic", lambda: now[0])
-    subscriptions = TrajectorySubscriptions(MagicMock(), lambda raw, is_latched: taken.append(raw))
-    for is_latched, later in ((True, 0.0), (False, 0.1), (True, 5.0), (False, 5.0)):
-        now[0] += later
-        subscriptions._on_message(is_latched, b"home")
-    assert len(taken) == 3
+    given = Subscribed(monkeypatch, publisher(b"a"))
+    given.latched(FIRST)
+    given.wait(0.06)
+    given.volatile(FIRST)
+    assert given.taken == [FIRST]
+    given.wait(5.0)
+    given.volatile(FIRST)
+    given.latched(FIRST)
+    given.wait(5.0)
+    given.volatile(FIRST)
+    assert given.taken == [FIRST] * 3
 
 
 def test_a_check_that_raises_is_called_again(capsys):
