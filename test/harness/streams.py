@@ -114,13 +114,16 @@ def anything(draw, seconds, largest=1.0, speed=None):
 
 
 def played(following, arrivals, period, seconds, takeover_time, limits=None):
-    """Yield time, position and velocity of a reference at each state; old messages are refused."""
+    """Yield time, position and velocity of a reference at each state.
+
+    As on the topic what ended more than a second ago is refused.
+    """
     waiting = iter(arrivals)
     coming = next(waiting, None)
     for k in range(int(seconds / period)):
         time = k * period
         while coming is not None and coming.time <= time:
-            if coming.end >= time:
+            if coming.end >= time - 1.0:
                 following.follow(coming.column)
             coming = next(waiting, None)
         stamp_ns = round((BEGIN + time) * SECOND)
