@@ -20,9 +20,9 @@ MS = 1_000_000
 SEEDS = st.integers(0, 2**32)
 
 
-def moved(motion, time, seconds):
+def moved(motion, time, seconds, parts):
     """Return how far a motion comes from where it was, at most, within seconds before a time."""
-    times = [time - seconds * share / 12.0 for share in range(13)]
+    times = [time - seconds * part / parts for part in range(parts + 1)]
     return max(abs(motion(time) - motion(each)) for each in times)
 
 
@@ -41,14 +41,14 @@ def test_a_stream_of_one_motion_is_followed_on_that_motion(seed):
     behind = max(-stream.begin - stream.window, 0.0)  # it had ended so long ago when it was sent
     gap = stream.period * (1 + stream.has_losses) + late + behind
     if stream.begin + stream.window < stream.period + stream.late + stream.later:
-        gap += (
-            stream.period + 2.0 * period
-        )  # it ends before the next one comes, which jumps; that fades
+        # It ends before the next one comes, which jumps; that fades at the motion's own speed.
+        gap += stream.period + stream.late + stream.later + period
     chord = 0.0 if stream.derivatives else 6.0 * (2.0 * stream.spacing) ** 2 / 8.0
     for time, position, _ in played(following, arrivals, period, 5.0, takeover_time):
         if time > takeover_time + gap:
-            allowed = moved(motion, time, gap) + chord + 1e-3
-            assert abs(position - motion(time)) <= allowed, (seed, time)
+            away = abs(position - motion(time)) - chord - 1e-3
+            is_near = any(away <= moved(motion, time, gap, parts) for parts in (12, 200))
+            assert is_near, (seed, time, away)
 
 
 @given(SEEDS, st.sampled_from([0.05, 0.2, 0.5, 2.0]))
