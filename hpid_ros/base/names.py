@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from functools import lru_cache
 from typing import Any
 
-from hpid_ros.base.errors import HpidError
+from hpid_ros.base.errors import HpidError, unknown_name
 from hpid_ros.base.text import shown
 
 _CONTROLLER = "_controller"
@@ -85,6 +86,70 @@ def require_node_names(joints: Iterable[str], error: type[HpidError]) -> None:
 def claim_topic(commands: str, joint: str) -> str:
     """Return the topic on which a joint is claimed; ``ros2 topic list`` hides it."""
     return f"{commands}/_claim_{node_word(joint)}"
+
+
+_LEFT_OUT = ("!", "^")
+"""Before a name or pattern: all but these. Shells give ``!`` a meaning of their own."""
+
+
+class NamePatterns:
+    """Names that people choose among: by themselves, by shell patterns, or as what they are not.
+
+    ``arm_*`` are those that match, ``!*finger*`` (or ``^*finger*``) all but those; several are
+    taken together. A name that exists is meant before a pattern of the same letters.
+    """
+
+    def __init__(self, texts: Sequence[str]) -> None:
+        self._texts = tuple(texts)
+        self._wanted = [each for each in texts if not each.startswith(_LEFT_OUT)]
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether a name may be meant, before it is known which others there are."""
+        if name in self._texts or not self._wanted:
+            return True
+        return any(fnmatchcase(str(name), each) for each in self._wanted)
+
+    def chosen(
+        self,
+        kind: str,
+        known: Collection[str],
+        error: type[HpidError],
+        default: Iterable[str] | None = None,
+    ) -> list[str]:
+        """Return the names that are meant, in the order in which they are asked for.
+
+        Args:
+            kind: What the names are, for the error about one that is none.
+            known: The names that exist.
+            error: What is raised where nothing matches.
+            default: The names of which some are left out; all if None.
+        """
+        found: dict[str, None] = {}
+        left_out: set[str] = set()
+        is_chosen = False
+        for text in self._texts:
+            is_out = text not in known and text.startswith(_LEFT_OUT)
+            pattern = text[1:] if is_out else text
+            matched = [pattern] if pattern in known else _matched(pattern, known)
+            if not matched:
+                raise error(unknown_name(kind, text, known))
+            if is_out:
+                left_out.update(matched)
+            else:
+                found.update(dict.fromkeys(matched))
+                is_chosen = True
+        if not is_chosen:
+            found.update(dict.fromkeys(known if default is None else default))
+        chosen = [name for name in found if name not in left_out]
+        if not chosen:
+            raise error(
+                f"no {kind} is left of {', '.join(self._texts)}; known: {', '.join(known)}"
+            )
+        return chosen
+
+
+def _matched(pattern: str, names: Iterable[str]) -> list[str]:
+    return [name for name in names if fnmatchcase(name, pattern)]
 
 
 ALL_JOINTS = "all joints"

@@ -78,7 +78,9 @@ OPTIONAL = {
     "pinocchio": Library("a model of the whole robot", "pin"),
     "mujoco": Library("the simulated robot in MuJoCo", "mujoco"),
     "pybullet": Library("the simulated robot in PyBullet", "pybullet"),
-    "rosbags": Library("writing bags, and reading reports of a simulated robot", "rosbags"),
+    "rosbags": Library(
+        "writing bags, and reading those of ROS 1 and reports of a simulated robot", "rosbags"
+    ),
     # What the live page is made of comes with the first of them.
     **dict.fromkeys(
         ("nicegui", "fastapi", "starlette", "uvicorn"),

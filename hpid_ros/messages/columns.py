@@ -7,14 +7,15 @@ have it, many at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.base.errors import MessageError
+from hpid_ros.base.errors import MessageError, listed_names
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.joint_state import (
     ENCAPSULATION,
@@ -317,6 +318,11 @@ class _Group:
         return JointSamples(stamps_ns, log_times_ns, places, values)
 
 
+_INTERFACES = frozenset({"position", "velocity", "acceleration", "effort"})
+_INTERFACE_OF = {"position": "position", "reference": "position", "effort": "effort"}
+_MOST_NAMES = 5
+
+
 class JointStream:
     """Collects one field of a topic's messages by joint."""
 
@@ -324,7 +330,7 @@ class JointStream:
         self,
         type: str,
         field: str,
-        joints: frozenset[str] | None = None,
+        joints: Container[str] | None = None,
         elements: Mapping[int, str] | None = None,
     ) -> None:
         self._learn = LAYOUTS[type]
@@ -332,6 +338,10 @@ class JointStream:
         self._groups: dict[tuple[str, ...], _Group] = {}
         self._of: dict[str, list[_Group]] = {}  # those that have numbers of a joint
         self.names: dict[str, None] = {}
+        self.interfaces: dict[str, None] = {}  # names of interfaces that are not the field's
+        self.repeated: dict[str, None] = {}  # joints that one message names several times
+        # messages by the number of their names and of their numbers, where these differ
+        self.unequal: Counter[tuple[int, int]] = Counter()
         self.message_count = 0
         self.undecodable = 0
         self.first_failure = ""
@@ -394,6 +404,9 @@ class JointStream:
     def _keep(self, layout: Layout, rows: Words, which: Integers, batch: TopicBatch) -> None:
         """Append the numbers of messages of one layout to their group."""
         columns = self._columns(layout)
+        length = layout.fields[self._field].length if self._field in layout.fields else 0
+        if self._elements is None and length not in (0, len(layout.names)):
+            self.unequal[len(layout.names), length] += len(which)
         if not columns:
             return
         group = self._groups.get(tuple(columns))
@@ -411,15 +424,46 @@ class JointStream:
         length = layout.fields[self._field].length if self._field in layout.fields else 0
         if self._elements is not None:
             return {j: element for element, j in self._elements.items() if element < length}
-        self.names.update(dict.fromkeys(layout.names))
+        names = [self._joint_of(name) for name in layout.names]
+        self.names.update(dict.fromkeys(name for name in names if name))
         if length != len(layout.names):
             return {}  # the wire allows arrays of another length than the names
         wanted = self._joints
         columns: dict[str, int] = {}
-        for index, name in enumerate(layout.names):
-            if wanted is None or name in wanted:
-                columns.setdefault(name, index)
+        for index, name in enumerate(names):
+            if name in columns:
+                self.repeated[name] = None
+            elif name and (wanted is None or name in wanted):
+                columns[name] = index
         return columns
+
+    def _joint_of(self, name: str) -> str:
+        """Return the joint of a name; none of an interface that is not the field's.
+
+        Some publish what ros2_control calls interfaces: ``j1/position`` is joint ``j1``.
+        """
+        joint, mark, interface = name.rpartition("/")
+        if not mark or interface not in _INTERFACES:
+            return name
+        if interface == _INTERFACE_OF.get(self._field):
+            return joint
+        self.interfaces[name] = None
+        return ""
+
+    def odd_lines(self, topic: str) -> Iterator[str]:
+        """Yield a line for each thing about the names of a topic's messages that is not taken."""
+        if self.interfaces:
+            names = listed_names(list(self.interfaces), _MOST_NAMES)
+            yield f"{topic} names interfaces in place of joints: {names} are no {self._field}s"
+        if self.repeated:
+            names = listed_names(list(self.repeated), _MOST_NAMES)
+            yield f"{topic} names {names} several times in one message: the first is taken"
+        for (names_count, length), count in self.unequal.items():
+            names = f"{names_count or 'no'} name{'s' if names_count > 1 else ''}"
+            yield (
+                f"the {self._field}s of {count} messages on {topic} are left out: nothing says "
+                f"whose they are, {names} for {length}"
+            )
 
 
 _MULTIPLIER = np.uint64(0x9E37_79B9_7F4A_7C15)

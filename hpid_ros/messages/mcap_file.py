@@ -13,6 +13,7 @@ Source: the MCAP format specification, version 0; all integers are little-endian
 
 from __future__ import annotations
 
+import bz2
 import os
 import struct
 import sys
@@ -107,11 +108,16 @@ def decompressed_part(compression: str, raw: bytes, most: int, allowance: Allowa
 
 def decompressed_message(raw: bytes, allowance: Allowance) -> bytes:
     """Return a message that was compressed by itself, with zstd."""
-    message, is_whole = _unpacked("zstd", raw, allowance.room(len(raw)))
+    return decompressed_chunk("zstd", raw, allowance)
+
+
+def decompressed_chunk(compression: str, raw: bytes, allowance: Allowance) -> bytes:
+    """Return bytes that do not declare what they unpack to."""
+    records, is_whole = _unpacked(compression, raw, allowance.room(len(raw)))
     if not is_whole:
         raise allowance.refusal(len(raw))
-    allowance.spend(len(raw), len(message))
-    return message
+    allowance.spend(len(raw), len(records))
+    return records
 
 
 def unpack_file(source: Path, target: Path, allowance: Allowance) -> bool:
@@ -137,14 +143,17 @@ def check_sum(records: Any, crc: int) -> None:
 
 def _unpacked(compression: str, raw: bytes, most: int) -> tuple[bytes, bool]:
     """Return what comes out of one or several frames up to a size, and whether that is all."""
-    if compression not in ("zstd", "lz4"):
-        raise BagError(f"unknown compression {compression!r}")
+    new: Callable[[], Any]
     if compression == "zstd":
         new = zstd_library().ZstdDecompressor
-    else:
+    elif compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
         new = lz4.frame.LZ4FrameDecompressor
+    elif compression == "bz2":  # of ROS 1
+        new = bz2.BZ2Decompressor
+    else:
+        raise BagError(f"unknown compression {compression!r}")
     parts: list[bytes] = []
     try:
         while raw:
@@ -157,7 +166,7 @@ def _unpacked(compression: str, raw: bytes, most: int) -> tuple[bytes, bool]:
             if not frame.eof:
                 break
             raw = frame.unused_data or b""
-    # Both libraries raise whatever their C code finds: RuntimeError, ZstdError, EOFError.
+    # The libraries raise whatever their C code finds: RuntimeError, ZstdError, EOFError.
     except Exception as error:
         raise BagError(f"{compression} data is damaged") from error
     return parts[0] if len(parts) == 1 else b"".join(parts), True

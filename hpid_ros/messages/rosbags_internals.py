@@ -15,12 +15,15 @@ import os
 import struct
 import zlib
 from collections import defaultdict
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from rosbags.rosbag1.reader import decompressors
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
@@ -193,3 +196,16 @@ def recorded_qos(text: str) -> list[Qos]:
     with suppress(ReaderError, KeyError, TypeError, AttributeError):
         return parse_qos(text)
     return []
+
+
+def bound_chunks(reader: Any, unpack: Callable[[str, bytes], bytes]) -> None:
+    """Have an open reader of ROS 1 unpack its chunks by a function of compression and bytes.
+
+    Uses ``chunks``, whose ``decompressor`` unpacks whatever comes, to any size.
+    """
+    _require(reader, ("chunks",))
+    kinds = {function: kind for kind, function in decompressors.items()}
+    for place, chunk in reader.chunks.items():
+        kind = kinds.get(chunk.decompressor, "none")
+        if kind != "none":
+            reader.chunks[place] = chunk._replace(decompressor=partial(unpack, kind))

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import BagError, unknown_name
+from hpid_ros.base.errors import BagError
+from hpid_ros.base.names import NamePatterns
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.messages.columns import (
     LARGEST,
@@ -534,7 +535,7 @@ def _recording(
     topics = storage.topics()
     types = {name: info.type for name, info in topics.items()}
     is_open = selection.joints is None or selection.every
-    joints = None if is_open else frozenset(selection.joints or ())
+    joints = None if is_open else NamePatterns(selection.joints or ())
 
     def collected(choice: TopicChoice) -> RecordedRun:
         recording = RecordedRun(choice, types, joints)
@@ -554,7 +555,9 @@ def _recording(
             )
     recording = collected(choice)
     if choice.may_be_measured and not recording.has_efforts():
+        before = list(recording.odd_lines())
         recording = collected(choice.measured())
+        recording.notes += [line for line in before if line not in recording.odd_lines()]
     _require_messages(where, recording)
     if choice.others:
         recording.notes.append(
@@ -594,15 +597,23 @@ def _undecodable(where: str, recording: RecordedRun) -> list[str]:
         if stream.undecodable:
             count = stream.undecodable
             lines.append(f"{count} messages on {topic} are left out: {stream.first_failure}")
-    return lines
+    odd = dict.fromkeys(recording.odd_lines())
+    if odd and not any(stream.joints() for stream in recording.states.values()):
+        raise BagError(f"{where}: no state of a joint can be read: {'; '.join(odd)}")
+    return [*lines, *odd]
 
 
 def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequence[str]:
     """Return the joints to read, all of which the states name."""
     known, concerned = recording.known_joints(), recording.concerned_joints()
-    joints = selection.joints or [name for name in known if name in concerned]
+    joints = [name for name in known if name in concerned]
     if not joints and not concerned:
         joints = known
+    if selection.joints is not None and known:
+        try:
+            return NamePatterns(selection.joints).chosen("joint", known, BagError, joints)
+        except BagError as error:
+            raise BagError(f"{where}: {error}") from None
     if not joints:
         choice = recording.choice
         commands = sorted({*choice.commands, *(c.topic for c in choice.command_topics.values())})
@@ -611,8 +622,6 @@ def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequ
             f"{', '.join(commands) or 'any topic'} or has a reference; joints: "
             f"{', '.join(known)} (--command-topic JOINT=TOPIC[INDEX] says whose efforts are where)"
         )
-    for joint in set(joints).difference(known):
-        raise BagError(f"{where}: {unknown_name('joint', joint, known)}")
     return joints
 
 

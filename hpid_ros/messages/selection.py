@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -67,8 +67,9 @@ class BagSelection:
     Topic names are full with a leading slash; without one their last parts are enough.
 
     Attributes:
-        joints: Only these joints, in this order; all that are commanded or have a reference if
-            None.
+        joints: Only these joints, in this order: names, shell patterns (``arm_*``), or names and
+            patterns after ``!`` or ``^``, which leave joints out. All that are commanded or have
+            a reference if None.
         namespace: Only topics below this namespace, for instance ``"/left"``: which of several
             robots.
         states: Topics of the states (``sensor_msgs/JointState``), each joint on one of them; a
@@ -481,7 +482,7 @@ class RecordedRun:
         self,
         choice: TopicChoice,
         types: Mapping[str, str],
-        joints: frozenset[str] | None,
+        joints: Container[str] | None,
     ) -> None:
         self.choice = choice
         self.notes: list[str] = []
@@ -517,6 +518,11 @@ class RecordedRun:
         """Yield topic and stream of everything but trajectories."""
         for streams in (self.states, self.commands, self.floats, self.setpoints, self.sampled):
             yield from streams.items()
+
+    def odd_lines(self) -> Iterator[str]:
+        """Yield a line for each thing that is not taken, for the names that messages have."""
+        for topic, stream in self.streams():
+            yield from stream.odd_lines(topic)
 
     def add(self, batch: TopicBatch) -> None:
         if batch.topic in self.choice.references.trajectory:

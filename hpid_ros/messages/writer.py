@@ -299,6 +299,11 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
         if not storage.topics():
             reasons = "; ".join(storage.unreadable) or "it has no topic"
             raise BagError(f"nothing of bag {source} can be read ({reasons})")
+        if storage.is_of_ros1:
+            raise BagError(
+                f"bag {source} is of ROS 1: rosbags-convert --src {source.name} --dst NEW_BAG "
+                "makes one of ROS 2 of it"
+            )
         try:
             with finished_folder(target) as place:
                 saved = _rewrite(storage, place, target, progress or no_progress)

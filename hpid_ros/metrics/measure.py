@@ -20,7 +20,7 @@ from hpid_ros.messages.messages import read_retunes, read_robot_descriptions
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, quality_lines
-from hpid_ros.messages.storage import custom_data, recorded_slides
+from hpid_ros.messages.storage import bags_in, custom_data, recorded_slides
 from hpid_ros.metrics.comparison import Comparison, Cut, common_cuts, fold_repeats, mismatches
 from hpid_ros.metrics.quantities import (
     INDICES,
@@ -258,9 +258,13 @@ class Source:
 
 
 def expanded(source: Source) -> list[Source]:
-    """Return the bags of a result folder, its saved numbers if they are gone, or the source."""
+    """Return the bags of a result folder or of a folder of bags, or the source itself.
+
+    Of a result folder without its bags these are its saved numbers.
+    """
     if not (source.path / RESULT).is_file():
-        return [source]
+        found = bags_in(source.path) if source.path.is_dir() else []
+        return [Source(bag, source.label) for bag in found] or [source]
     labels = list(_section(_section(load_json(source.path / RESULT), "indices"), "runs"))
     # The file may be anybody's: a name that is no label does not lead to a bag of this folder.
     if not all(map(is_label, labels)):

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hpid_ros.base.errors import BagError, HpidError, MessageError, SettingError, unknown_name
-from hpid_ros.base.names import ALLOW_RELAY, node_sections
+from hpid_ros.base.errors import BagError, HpidError, MessageError, SettingError
+from hpid_ros.base.names import ALLOW_RELAY, NamePatterns, node_sections
 from hpid_ros.base.yaml_files import load_yaml, parse_yaml
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.joint_loop import JointLoop
@@ -202,10 +202,7 @@ def read_records(
         asked = selection.namespace if selection is not None else None
         namespace = f"/{asked.strip('/')}" if asked else ""
         controllers = _controllers_in(bag, parameters, namespace)
-        wanted = list(controllers) if joints is None else list(joints)
-        for joint in wanted:
-            if joint not in controllers:
-                raise SettingError(unknown_name("joint", joint, controllers))
+        wanted = NamePatterns(joints or ()).chosen("joint", controllers, SettingError)
         collected = _Collector(
             choice,
             commands,

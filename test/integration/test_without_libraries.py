@@ -52,7 +52,7 @@ def test_every_node_starts_and_the_recorder_says_what_it_lacks(tmp_path):
         libraries=OPTIONAL.keys() - {"rclpy"},
     )
     assert ended.returncode == 2
-    assert ended.stderr.startswith("writing bags, and reading reports of a simulated robot needs")
+    assert ended.stderr.startswith("writing bags, and reading those of ROS 1")
     assert ended.stderr.count("\n") == 1
     assert not (tmp_path / "bag").exists()
 

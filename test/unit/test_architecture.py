@@ -54,7 +54,9 @@ PUBLISHED_OF_MODULES = {"os._exit", "sys._current_frames"}
 # rosbags keeps the rest to itself, without an underscore.
 DOCUMENTED_BY_ROSBAGS = {
     "rosbags.interfaces",
+    "rosbags.rosbag1",
     "rosbags.rosbag2",
+    "rosbags.serde",
     "rosbags.typesys",
     "rosbags.typesys.store",
 }

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import HpidError, SettingError, require_known
+from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.files import refuse_output
-from hpid_ros.base.names import node_sections
+from hpid_ros.base.names import NamePatterns, node_sections
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import (
@@ -44,8 +44,9 @@ def run(options: argparse.Namespace) -> int:
         require_controller(experiment, label, options.file)
     if experiment is not None:
         loops = list(experiment.controllers[label] if label else first_homogeneous(experiment))
-    require_known("joint", options.joint, {each.joint for each in loops})
-    chosen = [each for each in loops if not options.joint or each.joint in options.joint]
+    known = list(dict.fromkeys(each.joint for each in loops))
+    asked = NamePatterns(options.joint).chosen("joint", known, SettingError)
+    chosen = [each for each in loops if each.joint in asked]
     loops = _within_robot(options, chosen)
     require_distinct([each.joint for each in loops])
     if options.output.exists() and not options.output.is_dir():

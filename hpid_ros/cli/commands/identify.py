@@ -10,6 +10,7 @@ from pathlib import Path
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import find_resource, refuse_outputs
+from hpid_ros.base.names import NamePatterns
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.commands.metrics import bag_selection
 from hpid_ros.cli.options import load_robot, write_output
@@ -62,6 +63,8 @@ def _identified(options: argparse.Namespace, robot: GivenRobot | None) -> RobotI
     with reading() as tell:
         told = partial(tell, options.bag.name)
         recording = read_run(options.bag, _LABEL, selection=selection, progress=told)
+    if asked is not None:
+        asked = NamePatterns(asked).chosen("joint", recording.joint_names, SettingError)
     recording = recording.with_slides(
         sliding_joints(options.bag, None, selection.namespace).slides
     )

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from hpid_ros import __version__
 from hpid_ros.base.console import TextConsole
-from hpid_ros.base.errors import HpidError, SettingError, require_known, unknown_name
+from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.files import refuse_outputs
+from hpid_ros.base.names import NamePatterns
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
     joint_progress,
@@ -85,7 +86,8 @@ def _chosen(
     file: ParameterFile, experiment: Experiment | None, options: argparse.Namespace
 ) -> ParameterFile:
     """Return the loops of the joints and of the controller that are named."""
-    require_known("joint", options.joint, {each.joint for each in file.loops.values()})
+    known = list(dict.fromkeys(each.joint for each in file.loops.values()))
+    asked = NamePatterns(options.joint).chosen("joint", known, SettingError)
     label = options.controller
     if label is not None:
         require_controller(experiment, label, options.file)
@@ -93,8 +95,7 @@ def _chosen(
         loops={
             name: each
             for name, each in file.loops.items()
-            if (not options.joint or each.joint in options.joint)
-            and (label is None or name == f"{label} {each.joint}")
+            if each.joint in asked and (label is None or name == f"{label} {each.joint}")
         }
     )
 

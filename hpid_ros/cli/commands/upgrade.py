@@ -63,7 +63,7 @@ from hpid_ros.tuning.upgrade_prediction import (
 _OUTPUT = Path("upgrade.yaml")
 _PREDICTION = Path("upgrade.json")
 _YAML = (".yaml", ".yml")
-_BAGS = (".mcap", ".db3", ".zstd")
+_BAGS = (".mcap", ".db3", ".bag", ".zstd", ".zst")
 
 
 def run(options: argparse.Namespace) -> int:

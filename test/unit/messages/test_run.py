@@ -175,7 +175,7 @@ def test_a_thousand_joints_with_messages_of_their_own_are_read_in_one_go(tmp_pat
 
 def test_what_is_no_bag_is_one_line(tmp_path):
     refused(tmp_path / "missing", "no such file or folder")
-    refused(tmp_path, "the folder has no .mcap and no .db3 file")
+    refused(tmp_path, "the folder has no .mcap, .db3 or .bag file")
     for name, content in (("b.txt", "x"), ("e.mcap", ""), ("e.db3", ""), ("x.mcap", "x" * 99)):
         (tmp_path / name).write_text(content)
         refused(tmp_path / name, "cannot read bag")
@@ -185,7 +185,7 @@ def test_what_is_no_bag_is_one_line(tmp_path):
     folder.mkdir()
     for text in ("", "a: [", "[]", "rosbag2_bagfile_information: {version: 9}"):
         (folder / "metadata.yaml").write_text(text)
-        refused(folder, "no .mcap and no .db3 file")
+        refused(folder, "no .mcap, .db3 or .bag file")
     named = {"rosbag2_bagfile_information": {"relative_file_paths": ["gone.mcap"]}}
     (folder / "metadata.yaml").write_text(yaml.safe_dump(named))
     refused(folder, "gone.mcap: the file is missing")
