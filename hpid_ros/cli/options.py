@@ -303,14 +303,21 @@ def _of_robot(
 
 
 def parameter_file(path: Path) -> ParameterFile:
-    return parameters_from(load_yaml(path, SettingError), str(path))
+    """Read a file of controllers' parameters; say what of ros2_control's own is not taken."""
+    return _with_remarks(parameters_from(load_yaml(path, SettingError), str(path)))
+
+
+def _with_remarks(file: ParameterFile) -> ParameterFile:
+    for line in file.remarks:
+        print(f"hpid: {shown(line)}", file=sys.stderr)
+    return file
 
 
 def loop_file(path: Path) -> tuple[Experiment | None, ParameterFile]:
     """Read a file of loops: those of an experiment have the names of their controllers."""
     document = load_document(path, SettingError).values
     if not isinstance(document, Mapping) or "compare" not in document:
-        return None, parameters_from(document, str(path))
+        return None, _with_remarks(parameters_from(document, str(path)))
     experiment = load_experiment(path)
     loops = {
         f"{label} {each.joint}": each

@@ -1,4 +1,7 @@
-"""Settings of controllers in the content of ROS parameter files and dumps, read elsewhere."""
+"""Settings of controllers in the content of ROS parameter files and dumps, read elsewhere.
+
+A file of ros2_control's own controllers is taken for their PIDs.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,14 @@ from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, is_for, node_sections
+from hpid_ros.control.ros2_control_pids import pids_of
 from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings, Value
 
 INERTIA_RANGES = "inertia_ranges"
 """Section of a parameter file with the least and the largest inertia of joints."""
 
+
+Remarks = tuple[str, ...]
 
 _MOST_SECTIONS = 1000  # each is held against each
 
@@ -22,42 +28,48 @@ class ParameterFile(NamedTuple):
     loops: dict[str, LoopSettings]  # settings by node name, in the order of the file
     # [kg m^2] least and largest inertia by joint, of those that it knows
     inertias: dict[str, tuple[float, float]]
+    remarks: tuple[str, ...] = ()  # of ros2_control's own: what has no counterpart, a line each
 
 
 def parameters_from(document: object, where: str) -> ParameterFile:
-    """Return what the content of a parameter file says."""
-    return ParameterFile(
-        settings_from_parameters(document, where), _inertia_ranges(document, where)
-    )
+    """Return what the content of a parameter file says.
+
+    It has parameters of joint controllers, or of ros2_control's own controllers with a PID for
+    each joint.
+    """
+    nodes, remarks = _given(document, where)
+    loops = {name: _settings(values, f"{where}: {name}") for name, values in nodes.items()}
+    return ParameterFile(loops, _inertia_ranges(document, where), remarks)
 
 
 def settings_from_parameters(document: object, where: str) -> dict[str, LoopSettings]:
     """Return the settings of every joint controller in the content of a parameter file."""
-    return {
-        name: _settings(values, f"{where}: {name}")
-        for name, values in _given(document, where).items()
-    }
+    return parameters_from(document, where).loops
 
 
 def given_parameters(document: object, where: str) -> dict[str, dict[str, Value]]:
     """Return what a parameter file itself says of every loop, by node; checked as a whole."""
-    given = _given(document, where)
+    given, _ = _given(document, where)
     return {
         name: {key: value for key, value in each.to_parameters().items() if key in given[name]}
         for name, each in settings_from_parameters(document, where).items()
     }
 
 
-def _given(document: object, where: str) -> dict[str, dict[str, Any]]:
-    """Return the parameters of every joint controller by node, unchecked."""
+def _given(document: object, where: str) -> tuple[Mapping[str, Mapping[str, Any]], Remarks]:
+    """Return the parameters of every joint controller by node, unchecked, and remarks on them."""
     if not isinstance(document, Mapping):
         raise SettingError(f"{where} is no ROS parameter file: it must map node names")
-    for name, node in document.items():
-        if not node_sections({name: node}):
-            raise SettingError(f"{where}: {name} has no mapping ros__parameters")
     sections = {name: _flat(own) for name, own in node_sections(document).items()}
     if len(sections) > _MOST_SECTIONS:
         raise SettingError(f"{where} has {len(sections)} sections; {_MOST_SECTIONS} are allowed")
+    if not any("joint" in own for own in sections.values()):
+        pids = pids_of(sections, where)
+        if pids is not None:
+            return pids
+    for name, node in document.items():
+        if not node_sections({name: node}):
+            raise SettingError(f"{where}: {name} has no mapping ros__parameters")
     nodes = _named_nodes(sections)
     for section, own in sections.items():
         of_loops = sorted(PARAMETERS.keys() & own.keys())
@@ -76,10 +88,10 @@ def _given(document: object, where: str) -> dict[str, dict[str, Any]]:
             found[name] = values
     if not found:
         raise SettingError(
-            f"{where} has no joint controller: no node in it has the parameter joint "
-            f"(nodes: {', '.join(nodes) or 'none'})"
+            f"{where} has no joint controller: no node in it has the parameter joint, nor a PID "
+            f"of ros2_control's (nodes: {', '.join(nodes) or 'none'})"
         )
-    return found
+    return found, ()
 
 
 def _is_ranges(section: str) -> bool:

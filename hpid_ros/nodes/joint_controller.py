@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from rclpy.duration import Duration
@@ -20,7 +21,7 @@ from hpid_ros.base.records import Record, names_of, parameters_of, quantity
 from hpid_ros.control.joint_loop import JointLoop, LoopState
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import LATCHED_WITHIN, Motion
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LoopSettings, Value
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.nodes.core import executor
@@ -119,10 +120,11 @@ class JointController(ManagedNode):
         sinks: Sinks = SINKS,
         shared: SharedTopics | None = None,
         waiting: Waiting | None = None,
+        defaults: Mapping[str, Value] = MappingProxyType({}),
         **options: Any,
     ) -> None:
         super().__init__(name, **options)
-        self._tuning = ControllerSettings(self)
+        self._tuning = ControllerSettings(self, defaults)
         self._loop = JointLoop(self._tuning.with_changes())
         self.joint = self._loop.settings.joint
         self._reader = JointReader(self.joint)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from rclpy.parameter import Parameter
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import SettingError, require_known
 from hpid_ros.base.names import controller_name, require_node_names
 from hpid_ros.base.records import Record, names_of, quantity
+from hpid_ros.base.yaml_files import load_yaml
+from hpid_ros.control.controller_files import given_parameters, parameters_from
+from hpid_ros.control.settings import Value
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.parameters import read
@@ -30,6 +34,11 @@ class CompositionParameters(Record):
     joints: tuple[str, ...] | None = quantity(
         "Joints to control; each gets the node JOINT_controller, with its parameters", default=None
     )
+    controllers_file: str = quantity(
+        "File of ros2_control's own controllers, joint_trajectory_controller with gains or "
+        "pid_controller: their PIDs are the defaults of the nodes, their joints those of joints",
+        default="",
+    )
     merge: bool = quantity(
         "Publish one message for all joints, as joint_command_merger, with its parameters",
         default=False,
@@ -45,7 +54,10 @@ def make_nodes() -> list[executor.ClosingNode]:
     """Make one controller for each joint of the parameter ``joints``, and a merger if wished."""
     composition = executor.ClosingNode("joint_controllers")
     asked = read(composition, CompositionParameters)
-    joints = list(asked.joints or ())
+    loops = _loops_of(composition, asked.controllers_file) if asked.controllers_file else {}
+    joints = list(asked.joints or loops)
+    if loops:
+        require_known(f"joint of {asked.controllers_file}", joints, loops)
     if not joints or len(set(joints)) != len(joints):
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
     require_node_names(joints, SettingError)
@@ -65,6 +77,7 @@ def make_nodes() -> list[executor.ClosingNode]:
             sinks,
             shared,
             waiting,
+            loops.get(joint, {}),
             parameter_overrides=[
                 Parameter("joint", value=joint),
                 *([] if merger is None else [Parameter("command_interface", value=MERGED)]),
@@ -74,6 +87,15 @@ def make_nodes() -> list[executor.ClosingNode]:
     ]
     # The merger is left last: it sends what the controllers leave their joints with.
     return [composition, *controllers, *([] if merger is None else [merger])]
+
+
+def _loops_of(node: executor.ClosingNode, file: str) -> dict[str, dict[str, Value]]:
+    """Return what a file says of each joint's loop; log what of ros2_control's is not taken."""
+    path = Path(file)
+    document = load_yaml(path, SettingError)
+    for line in parameters_from(document, file).remarks:
+        node.get_logger().warning(line)
+    return {str(each["joint"]): each for each in given_parameters(document, file).values()}
 
 
 USAGE = Usage(

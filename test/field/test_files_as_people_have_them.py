@@ -226,7 +226,7 @@ def test_a_damaged_bag_of_ros_1_is_one_line_or_read_to_there(tmp_path, monkeypat
 def test_names_that_are_missing_or_too_many_are_told_and_what_is_left_is_read(tmp_path):
     bag = ros2_bag(tmp_path / "none", lambda k: state(TYPES, k, [], *numbers(k)))
     with pytest.raises(
-        BagError, match="positions of 60 messages on /joint_states .* no name for 2"
+        BagError, match=r"positions of 60 messages on /joint_states .* no name for 2"
     ):
         read_run(bag, "run")
     bag = ros2_bag(

@@ -47,6 +47,8 @@ def run(options: argparse.Namespace) -> int:
     known = list(dict.fromkeys(each.joint for each in loops))
     asked = NamePatterns(options.joint).chosen("joint", known, SettingError)
     chosen = [each for each in loops if each.joint in asked]
+    if parameters.remarks:
+        chosen = [_without_feedforward(each) for each in chosen]
     loops = _within_robot(options, chosen)
     require_distinct([each.joint for each in loops])
     if options.output.exists() and not options.output.is_dir():
@@ -61,6 +63,15 @@ def run(options: argparse.Namespace) -> int:
         header, source, *_, test = each
         print(f"{loop.joint}: {header}, {source}; to check it: {test}")
     return _written(options, loops)
+
+
+def _without_feedforward(loop: LoopSettings) -> LoopSettings:
+    """Return a loop of ros2_control's own without what no exported loop has; say so."""
+    name = "feedforward.viscous_friction"
+    if not loop.feedforward.viscous_friction:
+        return loop
+    print(f"hpid: {loop.joint}: {name} is left out: no exported loop has it", file=sys.stderr)
+    return loop.with_parameters({name: 0.0})
 
 
 def _export_plugin(

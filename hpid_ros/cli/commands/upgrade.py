@@ -101,6 +101,8 @@ def _robot(name: str) -> GivenRobot:
 
 def _of_bag(options: argparse.Namespace) -> int:
     files = _files(options)
+    if options.params is not None:
+        parameter_file(options.params)  # for what it says of ros2_control's own
     robot = _robot(options.urdf)
     errors = TextConsole(stderr=True)
     found = upgrade_from_bag(

@@ -12,9 +12,10 @@ word: the node would run with its defaults, and a bridge would simulate another 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -60,12 +61,16 @@ def declare(
     read_only: Collection[str] = (),
     *,
     is_slide: bool = False,
+    defaults: Mapping[str, object] = MappingProxyType({}),
 ) -> None:
-    """Declare parameters from their records; for a prismatic joint in m and N."""
+    """Declare parameters from their records; for a prismatic joint in m and N.
+
+    ``defaults`` take the place of the records' own.
+    """
     for spec in specs:
         text = of_slide(spec.description) if is_slide else spec.description
         described = _descriptor(spec, text, read_only=spec.name in read_only)
-        node.declare_parameter(spec.name, spec.default, described)
+        node.declare_parameter(spec.name, defaults.get(spec.name, spec.default), described)
 
 
 def read(node: Node, kind: type[AnyRecord], **defaults: Any) -> AnyRecord:

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -77,14 +78,14 @@ def _refuse_undescribed(settings: LoopSettings) -> None:
 class ControllerSettings:
     """Makes of a controller's parameters the settings of its loop, within the robot's limits."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, defaults: Mapping[str, Value] = MappingProxyType({})) -> None:
         self._node = node
         declare(node, [PARAMETERS["joint"]], read_only=["joint"])
         self.robot = read(node, RobotParameters).robot_description
         self._limits = robot_limits(self.robot, str(node.get_parameter("joint").value))
         self.is_slide = self._limits.is_slide
         specs = [spec for name, spec in PARAMETERS.items() if name != "joint"]
-        declare(node, specs, read_only=MODEL_PARAMETERS, is_slide=self.is_slide)
+        declare(node, specs, MODEL_PARAMETERS, is_slide=self.is_slide, defaults=defaults)
         self._last: tuple[Mapping[str, Value], LoopSettings] | None = None
 
     def with_changes(self, changes: Sequence[Parameter] = ()) -> LoopSettings:
