@@ -156,7 +156,8 @@ def _folded(label: str, runs: Sequence[RunIndices]) -> RunIndices:
         found, quartiles[joint] = {}, {}
         for quantity in sorted(quantities, key=lambda each: joint is None and each in NORMS):
             values = [run.value(quantity, joint) for run in runs]
-            if not any(map(math.isnan, values)):
+            is_of_others = joint is None and _are_of_others(quantity, *runs)
+            if not is_of_others and not any(map(math.isnan, values)):
                 found[quantity.key], quartiles[joint][quantity.key] = median_and_quartiles(values)
         return found
 
@@ -279,6 +280,8 @@ class Comparison:
         value, of_baseline = run.value(quantity, joint), self.baseline.value(quantity, joint)
         if any(quantity.key in each.spoils for each in self.differences(label)):
             return math.nan
+        if joint is None and _are_of_others(quantity, self.baseline, run):
+            return math.nan
         return ratio(value, of_baseline)
 
     def differences(self, label: str) -> tuple[Difference, ...]:
@@ -364,6 +367,11 @@ class Comparison:
         joints = {name: ratios(shared, name) for name in self.joint_names}
         totals = ratios(each for each in shared if each not in NORMS)
         return {"joints": joints, "totals": totals, **ratios(NORMS)}
+
+
+def _are_of_others(quantity: Quantity, *runs: RunIndices) -> bool:
+    """Return whether the totals of runs go over different joints."""
+    return len({run.without(quantity.needs) for run in runs}) > 1
 
 
 def ratio(value: float, baseline: float) -> float:
@@ -470,12 +478,20 @@ def _why(comparison: Comparison, label: str) -> str:
         lacking = {
             run.label: list(dict.fromkeys(run.why_undefined(quantity).values())) for run in runs
         }
+        if not any(lacking.values()) and _are_of_others(quantity, *runs):
+            lacking = {run.label: _reasons(quantity, run) for run in runs}
         of_first, of_other = lacking.values()
         if of_first == of_other:
             spoils += of_first
         else:
             spoils += [f"{name}: {reason}" for name, each in lacking.items() for reason in each]
     return "; ".join(dict.fromkeys(spoils))
+
+
+def _reasons(quantity: Quantity, run: RunIndices) -> list[str]:
+    """Return why some joints of a run have no such number."""
+    reasons = (run.lacking.get(name, {}).get(quantity.needs) for name in run.joints)
+    return list(dict.fromkeys(each for each in reasons if each is not None))
 
 
 def _figures(run: RunIndices) -> str:

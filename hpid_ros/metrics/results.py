@@ -245,10 +245,23 @@ class RunIndices:
         known = {name: reason for name, reason in missing.items() if reason is not None}
         return known or dict.fromkeys(names, quantity.else_undefined)
 
+    def without(self, data: Data) -> frozenset[str]:
+        """Return the joints that lack something: totals of what needs it go over the others."""
+        return frozenset(name for name, reasons in self.lacking.items() if data in reasons)
+
+    def left_out(self, data: Data) -> str:
+        """Return which joints totals of what needs it are without; empty for none, or all."""
+        without = [name for name in self.joints if name in self.without(data)]
+        if not without or len(without) == len(self.joints):
+            return ""
+        return f"totals without {', '.join(without)}"
+
     @property
     def notes(self) -> tuple[str, ...]:
         """What the numbers must be read with, one line each, without the run's label."""
-        assumed = (f"{data.value}: {text}" for data, text in self.assumed.items())
+        assumed = [f"{data.value}: {text}" for data, text in self.assumed.items()]
+        parts = ((data, self.left_out(data)) for data in Data)
+        assumed += [f"{data.value}: {text}" for data, text in parts if text]
         return (*assumed, *([self.cut] if self.cut else ()))
 
     def as_mapping(self) -> dict[str, object]:
@@ -351,18 +364,17 @@ def run_indices(
             raise SeriesError(f"the {name} must be positive and finite, not {value}")
     joints = {s.joint: joint_indices(s, cutoff, limits.get(s.joint)) for s in run.joints}
     lacking = _lacking(run)
-    missing = {data for reasons in lacking.values() for data in reasons}
     norms = {}
-    if Data.EFFORT not in missing:
-        squares = (square_integral(s.command_time, s.effort) for s in run.joints)
+    if with_effort := [s for s in run.joints if s.has_effort]:
+        squares = (square_integral(s.command_time, s.effort) for s in with_effort)
         norms[EFFORT_L2.key] = math.sqrt(math.fsum(squares))
-    if Data.REFERENCE not in missing:
-        squares = (square_integral(s.time, s.error) for s in run.joints)
+    if with_reference := [s for s in run.joints if s.has_reference]:
+        squares = (square_integral(s.time, s.error) for s in with_reference)
         norms[ERROR_L2.key] = math.sqrt(math.fsum(squares))
     return RunIndices(
         label=run.label,
         joints=joints,
-        totals=_totals(joints.values(), missing) | norms,
+        totals=_totals(joints, lacking) | norms,
         quantities=tuple(QUANTITIES.values()),
         conditions=conditions_of(run, cutoff),
         lacking=lacking,
@@ -396,13 +408,17 @@ def _assumed(run: RunSeries) -> dict[Data, str]:
     return assumed
 
 
-def _totals(joints: Iterable[Indices], missing: Collection[Data]) -> dict[str, float]:
-    """Return what is so over all joints; nothing that needs what one of them lacks."""
-    numbers = list(joints)
+def _totals(
+    joints: Mapping[str, Indices], lacking: Mapping[str, Mapping[Data, str]]
+) -> dict[str, float]:
+    """Return what is so over all joints that have what a quantity needs."""
     totals = {}
     for quantity in QUANTITIES.values():
-        if quantity in NORMS or quantity.needs in missing:
+        if quantity in NORMS:
             continue
+        numbers = [
+            each for name, each in joints.items() if quantity.needs not in lacking.get(name, {})
+        ]
         values = [joint[quantity.key] for joint in numbers if quantity.key in joint]
         if quantity.fold in (Fold.SUM, Fold.EUCLIDEAN) and len(values) < len(numbers):
             continue  # a sum without one of its joints would be too small

@@ -193,6 +193,8 @@ def _notes(
     yield from dict.fromkeys(run.why_undefined(quantity, joint).values())
     if quantity.needs in run.assumed:
         yield f"{quantity.needs.value}: {run.assumed[quantity.needs]}"
+    if joint is None and (text := run.left_out(quantity.needs)):
+        yield text
     if run.cut:
         yield run.cut
     for each in comparison.differences(run.label):

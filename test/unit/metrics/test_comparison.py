@@ -22,6 +22,7 @@ from hpid_ros.metrics.comparison import (
     Verdict,
     answer,
     common_cuts,
+    fold_repeats,
     ratio,
     verdict,
     verdict_lines,
@@ -173,32 +174,57 @@ def lacking(label, *lacks, **options):
 
 def test_what_is_not_there_is_a_dash_with_its_reason_in_every_form():
     comparison = Comparison((lacking("PID", Data.REFERENCE), lacking("hPID", Data.REFERENCE)))
-    note = "No ITAE, ||e||, joint b: no reference was recorded."
+    note = "No ITAE, joint b: no reference was recorded."
     text = table_text(comparison)
     assert note in text
     assert re.search(r"^b .* – +– +–$", text, re.MULTILINE)
-    assert re.search(r"total .* – +– +–$", text, re.MULTILINE)
+    assert re.search(r"total .* 0.0100 0.0100 1.000=$", text, re.MULTILINE)
+    assert "PID and hPID: reference: totals without b." in text
     assert "0.0000" not in text
     rows = list(csv.DictReader(io.StringIO(table_csv(comparison))))
     empty = {(row["joint"], row["quantity"]) for row in rows if not row["value"]}
-    assert empty == {("b", "itae"), ("", "itae"), ("", "error_l2")}
+    assert empty == {("b", "itae")}
+    assert {r["note"] for r in rows if r["quantity"] == "error_l2"} == {"totals without b"}
     reasons = {row["note"] for row in rows if not row["value"]}
     assert reasons == {"no reference was recorded"}
     latex = table_latex(comparison)
-    assert r"No ITAE, $\|e\|_{L^2}$, joint b: no reference was recorded." in latex
+    assert r"No ITAE, joint b: no reference was recorded." in latex
     assert r"& -- & --" in latex
     saved = json.loads(json.dumps(comparison.as_mapping(), allow_nan=False))
     one = saved["runs"]["hPID"]
     assert one["lacking"] == {"b": {"reference": "no reference was recorded"}}
     assert "itae" not in one["joints"]["b"]
-    assert not {"itae", "error_l2"} & {*one["totals"], *one, *saved["ratios"]["hPID"]["totals"]}
+    assert one["totals"]["itae"] == one["joints"]["a"]["itae"]
+    assert saved["ratios"]["hPID"]["totals"]["itae"] == 1.0
     assert table_text(Comparison(runs_from_mapping(saved, "x.json"))) == text
-    assert "Not comparable: ITAE and ||e|| (no reference was recorded)." in answer(comparison)
+
+
+def test_what_no_joint_has_no_total_has():
+    numbers = recording("PID")
+    joints = tuple(dataclasses.replace(each, reference=()) for each in numbers.joints)
+    comparison = Comparison((run_indices(dataclasses.replace(numbers, joints=joints)),))
+    text = table_text(comparison)
+    assert re.search(r"total .* –$", text, re.MULTILINE)
+    assert "totals without" not in text
+    assert "no time-weighted error (ITAE), as no reference was recorded" in answer(comparison)
+
+
+def test_totals_over_different_joints_are_neither_compared_nor_folded():
+    whole, part = lacking("PID"), lacking("hPID", Data.EFFORT)
+    comparison = Comparison((whole, part))
+    for quantity in (IVC, IAVC, EFFORT_L2):
+        assert not math.isnan(part.value(quantity))
+        assert math.isnan(comparison.ratio("hPID", quantity))
+        assert comparison.ratio("hPID", quantity, "a") == pytest.approx(1.0) or quantity in NORMS
+    assert comparison.ratio("hPID", ITAE) == 1.0
+    (folded,) = fold_repeats([whole, dataclasses.replace(part, label="PID")])
+    assert math.isnan(folded.value(IVC))
+    assert folded.value(ITAE) == whole.value(ITAE)
 
 
 def test_of_two_runs_only_one_of_which_lacks_something_that_one_is_named():
     comparison = Comparison((lacking("PID"), lacking("hPID", Data.EFFORT)))
-    note = "No IVC, IAVC, ||u|| of hPID, joint b: no effort was recorded."
+    note = "No IVC, IAVC of hPID, joint b: no effort was recorded."
     assert note in table_text(comparison)
     assert "0.0000" not in table_text(comparison)
     assert Verdict.EQUAL not in [comparison.verdicts("hPID")[q] for q in (IVC, IAVC, EFFORT_L2)]
