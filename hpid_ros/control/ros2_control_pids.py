@@ -64,7 +64,7 @@ def pids_of(sections: Mapping[str, Mapping[str, Any]], where: str) -> Pids | Non
     is_any = False
     for section, own in sections.items():
         name = section.rpartition("/")[2]
-        kind = _kind(own, types.get(name, ""))
+        kind = _kind(own, types.get(name) or str(own.get("type", "")))
         if kind is None:
             continue
         is_any = True

@@ -97,7 +97,7 @@ class RosbagFile:
         bound_chunks(self._reader, lambda kind, raw: decompressed_chunk(kind, raw, allowance))
         self._connections: dict[str, list[Connection]] = {}
         for each in self._reader.connections:
-            self._connections.setdefault(each.topic, []).append(each)
+            self._connections.setdefault(_full(each.topic), []).append(each)
 
     def topics(self) -> dict[str, TopicInfo]:
         """Return the topics by full name."""
@@ -120,7 +120,8 @@ class RosbagFile:
         size = 0
         try:
             for connection, time_ns, raw in self._reader.messages(wanted) if wanted else ():
-                parts.setdefault(connection.topic, []).append((time_ns, place, bytes(raw)))
+                part = parts.setdefault(_full(connection.topic), [])
+                part.append((time_ns, place, bytes(raw)))
                 place, size = place + 1, size + len(raw)
                 if place % _BATCH_ROWS == 0 or size >= _BATCH_BYTES:
                     yield from _batches(parts)
@@ -130,6 +131,10 @@ class RosbagFile:
             report(f"{place} messages were read, the rest is left out: {_reason(error)}")
         yield from _batches(parts)
         done(self._size)
+
+
+def _full(topic: str) -> str:
+    return f"/{topic.lstrip('/')}"
 
 
 def _batches(parts: dict[str, list[tuple[int, int, bytes]]]) -> Iterator[TopicBatch]:

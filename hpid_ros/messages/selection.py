@@ -183,7 +183,7 @@ def last_part(topic: str) -> str:
 
 def is_below(topic: str, namespace: str) -> bool:
     """Return whether a topic is in a namespace or in one below it."""
-    return topic.startswith(f"{namespace.rstrip('/')}/")
+    return f"/{topic.lstrip('/')}".startswith(f"{namespace.rstrip('/')}/")
 
 
 def joint_of(topic: str) -> str:

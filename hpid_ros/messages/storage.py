@@ -491,10 +491,14 @@ class Storage:
         Files are renamed by hand, and their old metadata stays.
         """
         missing = [file for file in named if not os.path.lexists(file)]
-        others = [file for file in _bag_files(self.path) if file not in named]
-        if not missing or not others:
+        known = {_unpacked_name(file) for file in named if file not in missing}
+        others = [file for file in _bag_files(self.path) if _unpacked_name(file) not in known]
+        if not others:
             return named
         gone, there = _names(missing), _names(others)
+        if not missing:
+            self._report(f"metadata.yaml does not name {there}, not read: name a file to read it")
+            return named
         if len(others) > len(missing):
             raise BagError(
                 f"bag {self.path}: metadata.yaml names {gone}, missing here, and not {there}: "
@@ -653,6 +657,10 @@ def bags_in(folder: Path) -> list[Path]:
 def _bag_files(folder: Path) -> list[Path]:
     found = [file for file in folder.iterdir() if _suffix(file) in _SUFFIXES]
     return sorted(found, key=_natural_order)
+
+
+def _unpacked_name(path: Path) -> str:
+    return path.stem if path.suffix in _ZSTD else path.name
 
 
 def _names(paths: Sequence[Path]) -> str:

@@ -87,7 +87,7 @@ def ros1_bag(path: Path, compression=None) -> Path:
     if compression is not None:
         writer.set_compression(compression)
     with writer as bag:
-        states = bag.add_connection("/joint_states", JOINT_STATE, typestore=ROS1)
+        states = bag.add_connection("joint_states", JOINT_STATE, typestore=ROS1)
         reports = bag.add_connection("/arm/state", CONTROLLER_STATE, typestore=ROS1)
         for k in range(COUNT):
             raw = ROS1.serialize_ros1(state(ROS1, k, ["j1", "j2"], *numbers(k)), JOINT_STATE)
@@ -139,7 +139,10 @@ def test_of_several_files_that_metadata_do_not_name_none_is_guessed(plain, tmp_p
 def test_a_file_that_metadata_do_not_name_is_not_read_next_to_one_that_they_name(plain, tmp_path):
     bag = shutil.copytree(plain, tmp_path / "bag")
     shutil.copy(next(bag.glob("*.mcap")), bag / "copy.mcap")
-    same_numbers(read_run(bag, "run"), read_run(plain, "run"))
+    run = read_run(bag, "run")
+    same_numbers(run, read_run(plain, "run"))
+    (line,) = run.quality.unreadable
+    assert "metadata.yaml does not name copy.mcap, not read" in line
 
 
 @pytest.mark.parametrize("name", ["recording", "recording.bak", "recording.db3", "a.bag"])

@@ -188,6 +188,8 @@ def test_controllers_are_found_by_type_in_namespaces_and_without_their_manager()
     document = {"left": trajectory({"j1": GAINS, "j2": {**GAINS, "p": 9.0}})}
     file = parameters_from(document, "file")
     assert [each.joint for each in file.loops.values()] == ["j1", "j2"]
+    typed = pid({"j1": GAINS}, type="pid_controller/PidController")
+    assert only({"arm": typed["arm"]})[0].gains.p == 12.0
     alone = {"arm": trajectory({"j1": GAINS})["arm"]}
     loop, remarks = only(alone)
     assert loop.timing.control_period == 0.01
