@@ -146,6 +146,7 @@ def _batches(parts: dict[str, list[tuple[int, int, bytes]]]) -> Iterator[TopicBa
 def _reason(error: Exception) -> str:
     """Return in one line why a file cannot be read, with the remedy where there is one."""
     text = reason_of(error).removeprefix("ReaderError: ")
+    text = text.replace("('", "").replace("',)", "")  # it quotes the error that it met
     if "not indexed" in text:
         return "its recorder was stopped by force, the index is missing: rosbag reindex writes it"
     return text
