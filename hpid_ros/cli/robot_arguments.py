@@ -38,8 +38,7 @@ def metrics(parser: Parser) -> None:
         --group LABEL BAG ...  repeats of one run, for instance with other seeds; may be repeated
         --baseline BAG  what ratios are taken of: one of the bags, another one, or a label (the
             first)
-        --joint NAME ...  only this joint, or those of a pattern ('arm_*'), or all but these
-            ('!*finger*', also ^*finger*); may be repeated (all)
+        --joint NAME ...  this joint, or 'arm_*'; '!*hand*' leaves out (all)
         --joints JOINT
         --reference TOPIC|FILE|hold  what the joints were to follow: a topic, or a kind of it
             (trajectory, setpoint, sampled, controller_state); a YAML file with a reference
@@ -180,8 +179,7 @@ def identify(parser: Parser) -> None:
         bag BAG  bag folder or file
         --urdf FILE  the robot: a URDF, or an experiment file (.yaml); its base stands still, and
             its own rotors and friction do not count
-        --joint NAME ...  only this joint, or those of a pattern ('arm_*'), or all but these
-            ('!*finger*', also ^*finger*); may be repeated (all)
+        --joint NAME ...  this joint, or 'arm_*'; '!*hand*' leaves out (all)
         --effort-unit  any: efforts are in a unit of their own, as of current, which the masses of
             --urdf fix (si: N m and N)
         -o --output FILE  what was found, as YAML that experiment files extend and that --urdf and
@@ -218,8 +216,7 @@ def replay(parser: Parser) -> None:
     text = """
         bag BAG  a bag folder, or one file of it
         --params FILE  parameter file of the controllers as they were started (those in the bag)
-        --joint NAME ...  only this joint, or those of a pattern ('arm_*'), or all but these
-            ('!*finger*', also ^*finger*); may be repeated (all)
+        --joint NAME ...  this joint, or 'arm_*'; '!*hand*' leaves out (all)
         --namespace NAME  only topics below this namespace
         --states TOPIC ...  topic of the states; once for each topic of one robot
         --commands TOPIC  topic of the commands
@@ -283,8 +280,7 @@ def margins(parser: Parser) -> None:
     )
     text = """
         file FILE  parameter file of controllers, or experiment
-        --joint NAME ...  only this joint, or those of a pattern ('arm_*'), or all but these
-            ('!*finger*', also ^*finger*); may be repeated (all)
+        --joint NAME ...  this joint, or 'arm_*'; '!*hand*' leaves out (all)
         --controller LABEL  only this controller of an experiment (all)
     """
     options(parser, text, file=Path)
@@ -437,8 +433,7 @@ def export(parser: Parser) -> None:
     )
     text = """
         file FILE  parameter file of controllers, or experiment
-        --joint NAME ...  only this joint, or those of a pattern ('arm_*'), or all but these
-            ('!*finger*', also ^*finger*); may be repeated (all)
+        --joint NAME ...  this joint, or 'arm_*'; '!*hand*' leaves out (all)
         --controller LABEL  of an experiment (its first with a homogeneous loop)
         --precision  of the numbers in C (double); a macro in the header can say another
         -o --output DIR  folder to write into; its name is that of the package
