@@ -63,13 +63,14 @@ def _given(document: object, where: str) -> tuple[Mapping[str, Mapping[str, Any]
     sections = {name: _flat(own) for name, own in node_sections(document).items()}
     if len(sections) > _MOST_SECTIONS:
         raise SettingError(f"{where} has {len(sections)} sections; {_MOST_SECTIONS} are allowed")
-    if not any("joint" in own for own in sections.values()):
-        pids = pids_of(sections, where)
-        if pids is not None:
-            return pids
+    pids = pids_of(sections, where)
+    if pids is not None:
+        return pids
     for name, node in document.items():
         if not node_sections({name: node}):
-            raise SettingError(f"{where}: {name} has no mapping ros__parameters")
+            is_old = isinstance(node, Mapping) and isinstance(node.get("type"), str)
+            hint = ", as controllers of ROS 1" if is_old else ""
+            raise SettingError(f"{where}: {name} has no mapping ros__parameters{hint}")
     nodes = _named_nodes(sections)
     for section, own in sections.items():
         of_loops = sorted(PARAMETERS.keys() & own.keys())

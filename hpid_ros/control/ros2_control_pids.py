@@ -50,6 +50,8 @@ class Pids(NamedTuple):
 def pids_of(sections: Mapping[str, Mapping[str, Any]], where: str) -> Pids | None:
     """Return the PIDs of a parameter file's sections; None where it has no such controller.
 
+    A file with a joint controller of this package is that one's.
+
     Args:
         sections: Parameters by full dotted name, of each node.
         where: What errors call the file.
@@ -58,6 +60,11 @@ def pids_of(sections: Mapping[str, Mapping[str, Any]], where: str) -> Pids | Non
         SettingError: None of its PIDs commands efforts, or a value is none of its parameter's.
     """
     types, rates = _managed(sections)
+    if any(
+        "joint" in own and section.rpartition("/")[2] not in types
+        for section, own in sections.items()
+    ):
+        return None  # a joint controller's own
     remarks = _Remarks()
     nodes: dict[str, dict[str, Value]] = {}
     owners: dict[str, str] = {}
@@ -69,8 +76,7 @@ def pids_of(sections: Mapping[str, Mapping[str, Any]], where: str) -> Pids | Non
             continue
         is_any = True
         controller = _Controller(name, kind, own, f"{where}: {name}", remarks)
-        period = 1.0 / controller.rate(rates)
-        for joint, values in controller.loops(period):
+        for joint, values in controller.loops(rates):
             node = controller_name(joint)
             if nodes.setdefault(node, values) != values:
                 raise SettingError(
@@ -154,7 +160,7 @@ class _Controller:
     def _remark(self, text: str, joint: str = "") -> None:
         self._remarks.add(self._name, text, joint)
 
-    def rate(self, managed: Iterable[object]) -> float:
+    def _rate(self, managed: Iterable[object]) -> float:
         """Return how often it computes, in [Hz]."""
         rates = [self._own["update_rate"]] if self._own.get("update_rate") else list(managed)
         if not rates:
@@ -167,10 +173,14 @@ class _Controller:
             raise SettingError(f"{self._where}: update_rate must be positive, not {rate:g}")
         return rate
 
-    def loops(self, period: float) -> Iterator[tuple[str, dict[str, Value]]]:
-        """Yield each joint's parameters, where its PID commands efforts on positions."""
+    def loops(self, rates: Iterable[object]) -> Iterator[tuple[str, dict[str, Value]]]:
+        """Yield each joint's parameters, where its PID commands efforts on positions.
+
+        ``rates`` are those of its manager.
+        """
         if not self._commands_efforts():
             return
+        timing = self._timing(1.0 / self._rate(rates))
         for joint in self._names("joints" if self._kind == "trajectory" else "dof_names"):
             if "$(" in joint:
                 raise SettingError(
@@ -181,7 +191,7 @@ class _Controller:
             if gains is None:
                 self._remark("has no gains: left out", joint)
                 continue
-            yield joint, {"joint": joint, **self._timing(period), **self._values(joint, gains)}
+            yield joint, {"joint": joint, **timing, **self._values(joint, gains)}
         if self._own.get("command_joints", self._own.get("joints")) != self._own.get("joints"):
             self._remark("command_joints has no counterpart: a loop reads and drives one joint")
         scaling = [key for key in self._own if key.startswith("speed_scaling")]

@@ -205,6 +205,25 @@ def test_controllers_are_found_by_type_in_namespaces_and_without_their_manager()
         parameters_from(scaled, "file")
 
 
+def test_a_joint_that_another_controller_of_theirs_has_is_no_controller_of_ours():
+    """As the twist_controller of ros2_kortex."""
+    document = trajectory({"j1": GAINS})
+    document["twist"] = {
+        "ros__parameters": {"joint": "tcp", "interface_names": ["twist.linear.x"]}
+    }
+    manager = document["controller_manager"]["ros__parameters"]
+    manager["twist"] = {"type": "picknik_twist_controller/PicknikTwistController"}
+    assert only(document)[0].joint == "j1"
+
+
+def test_a_file_of_ros_1_is_named():
+    document = {"arm": {"type": "effort_controllers/JointTrajectoryController", "gains": {}}}
+    with pytest.raises(
+        SettingError, match="arm has no mapping ros__parameters, as controllers of"
+    ):
+        parameters_from(document, "file")
+
+
 def test_two_controllers_of_a_joint_must_agree():
     document = trajectory({"j1": GAINS})
     document["other"] = document["arm"]
