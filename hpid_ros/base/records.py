@@ -12,6 +12,7 @@ another interface on PyPI than in the Ubuntu of Jazzy, and msgspec and cattrs ha
 from __future__ import annotations
 
 import math
+import re
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
@@ -138,10 +139,21 @@ class Section:
 
 def _number(value: Any, bounds: Bounds, place: str, error: type[HpidError]) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise error(f"{place} must be a number, not {shown(value)}")
+        better = _dotted(value)
+        hint = f": to YAML 1.1 that is a text, write {better}" if better else ""
+        raise error(f"{place} must be a number, not {shown(value)}{hint}")
     if not bounds.hold(value):
         raise error(f"{place} must {bounds.rule}, not {value}")
     return float(value)
+
+
+def _dotted(value: object) -> str:
+    """Return a number that YAML 1.1 takes for a text, as ``4e-7``, so that it is one; else ""."""
+    found = re.fullmatch(r"([-+]?\d[\d_]*)(\.\d*)?[eE]([-+]?)(\d+)", str(value).strip())
+    if not isinstance(value, str) or found is None:
+        return ""
+    whole, fraction, sign, exponent = found.groups()
+    return f"{whole}{fraction or '.0'}e{sign or '+'}{exponent}"
 
 
 _LARGEST_WHOLE = 2**62

@@ -69,7 +69,14 @@ def warn_uncontrolled(experiments: Iterable[Experiment]) -> None:
 
 
 def warn_unlimited(robot: RobotDescription, loops: Iterable[LoopSettings]) -> None:
-    """Warn of joints that nothing limits, neither the robot's description nor their loops."""
+    """Warn of joints that nothing limits, neither the robot's description nor their loops.
+
+    Those are refused whose limit is 0.
+    """
+    loops = list(loops)
+    for settings in loops:
+        if settings.joint in robot.joints:
+            robot.joints[settings.joint].require_effort(settings)
     unlimited = dict.fromkeys(
         settings.joint
         for settings in loops
@@ -84,6 +91,13 @@ def warn_unlimited(robot: RobotDescription, loops: Iterable[LoopSettings]) -> No
             "this URDF does not start",
             file=sys.stderr,
         )
+
+
+def print_undriven(experiment: Experiment) -> None:
+    """Say which joints of an experiment's robot nobody drives."""
+    line = experiment.description.undriven(experiment.world.joints)
+    if line:
+        print(f"hpid: {line}", file=sys.stderr)
 
 
 def loops_of(experiment: Experiment) -> Iterator[LoopSettings]:
@@ -109,6 +123,7 @@ def experiment_to_run(options: argparse.Namespace) -> Experiment:
     require_engine(experiment.world.engine)
     warn_uncontrolled([experiment])
     warn_unlimited(experiment.description, loops_of(experiment))
+    print_undriven(experiment)
     return experiment
 
 
@@ -182,7 +197,8 @@ def _load_robot(file: Path) -> GivenRobot:
     source = str(world.robot_description)
     description = RobotDescription.load(source)
     wheels = tuple(world.base.joints) if world.base is not None else ()
-    return GivenRobot(source, description, world.fixed_base, world.initial_positions, wheels)
+    start = world.initial_positions
+    return GivenRobot(source, description, world.fixed_base, start, world.joints, wheels)
 
 
 def identified_robot(file: Path) -> GivenRobot | None:

@@ -188,7 +188,9 @@ def _settings(
     for layer in layers:
         values.update(layer.values)
     try:
-        return with_robot(LoopSettings.from_parameters(values), world)
+        settings = with_robot(LoopSettings.from_parameters(values), world)
+        joint.require_effort(settings)
+        return settings
     except HpidError as error:
         where = f"{_place(str(error), layers)}controller {label!r}, joint {joint.name!r}"
         raise ExperimentError(f"{where}: {error}") from None

@@ -9,10 +9,9 @@ a model, sees the same robot, and nobody else has to know.
 from __future__ import annotations
 
 import math
-import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -21,53 +20,27 @@ import numpy as np
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.files import package_uri
 from hpid_ros.base.records import Record, quantity
-from hpid_ros.base.units import Numbers, of_slide
+from hpid_ros.base.units import of_slide
+from hpid_ros.robot import mending
 from hpid_ros.robot.description import (
     DRAKE_NAMESPACE,
+    UNDRIVABLE_TYPES,
     JointDescription,
     RobotDescription,
     find_mesh,
     mesh_places,
-    origin_of,
 )
 from hpid_ros.robot.differential_drive import DifferentialDrive
 
-_MOVING_ONLY = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
-
 
 def hold(element: ElementTree.Element, joint: JointDescription, position: float) -> None:
-    """Make a moving joint a fixed one that stands at a position."""
-    from scipy.spatial.transform import Rotation  # slow to import, and only needed here
-
+    """Make a moving joint a fixed one that stands at a position within its limits."""
     if not (math.isfinite(position) and joint.lower <= position <= joint.upper):
         raise RobotDescriptionError(
             f"joint {joint.name!r} cannot be held at {position}, which is not within its limits"
             f" [{joint.lower}, {joint.upper}]"
         )
-    position_of_frame, angles = origin_of(element)
-    origin = _child(element, "origin")
-    place = np.array(position_of_frame)
-    turn = Rotation.from_euler("xyz", angles)  # about fixed axes
-    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    if joint.is_slide:
-        place = place + turn.as_matrix() @ (axis * position)
-    elif position:
-        turn = turn * Rotation.from_rotvec(axis * position)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # pitch upright: any roll will do
-            origin.set("rpy", _text(turn.as_euler("xyz")))
-    origin.set("xyz", _text(place))
-    element.set("type", "fixed")
-    for tag in _MOVING_ONLY:
-        for child in element.findall(tag):
-            element.remove(child)
-
-
-def _text(numbers: Numbers) -> str:
-    return " ".join(repr(float(number)) for number in numbers)
-
-
-ElementTree.register_namespace("drake", DRAKE_NAMESPACE)
+    mending.hold(element, position)
 
 
 @dataclass(frozen=True)
@@ -124,22 +97,47 @@ def amended(
     Meshes of packages get their ``package://`` name and others their absolute path, since the
     new text stands in no folder.
     """
-    description.named(joints)
-    description.named(held)
+    description.named(name for name in joints if name not in description.held)
     robot = ElementTree.fromstring(description.xml)
     elements = {element.get("name", ""): element for element in robot.findall("joint")}
+    held = _yet_to_hold(description, held, elements)
     for name, amendment in joints.items():
         _amend_joint(robot, elements[name], amendment)
     bodies = {element.get("name", ""): element for element in robot.findall("link")}
     for name, link in links.items():
         _replace_inertial(bodies[description.link(name)], link)
     for name, position in held.items():
-        hold(elements[name], description.joints[name], position)
+        if name in description.joints:
+            hold(elements[name], description.joints[name], position)
+        else:
+            mending.hold(elements[name], 0.0)
     for mesh in robot.iter("mesh"):
         found = find_mesh(mesh.get("filename", ""), description.folder)
         if found is not None:
             mesh.set("filename", package_uri(found))
-    return RobotDescription.load(ElementTree.tostring(robot, encoding="unicode"))
+    known = RobotDescription.load(ElementTree.tostring(robot, encoding="unicode"))
+    return replace(known, mends=description.mends)
+
+
+def _yet_to_hold(
+    description: RobotDescription,
+    held: Mapping[str, float],
+    elements: Mapping[str, ElementTree.Element],
+) -> dict[str, float]:
+    """Return the joints that are to be held and move yet, also those of no type that is driven."""
+    found = {}
+    for name, position in held.items():
+        if name in elements and elements[name].get("type") in UNDRIVABLE_TYPES:
+            if position != 0.0:
+                raise RobotDescriptionError(
+                    f"joint {name!r} has more than one position: it can be held at 0 alone"
+                )
+        elif description.held.get(name) == position:
+            continue
+        else:
+            description.named([name])
+        found[name] = position
+    return found
 
 
 def _amend_joint(
@@ -246,7 +244,7 @@ def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterat
 def _links(description: RobotDescription, robot: ElementTree.Element) -> Iterator[Remark]:
     moved = {joint.child for joint in description.joints.values()}
     shared: dict[tuple[float, ...], list[str]] = defaultdict(list)
-    bare, weightless, impossible = [], [], []
+    bare, weightless = [], []
     for link in robot.findall("link"):
         name = link.get("name", "")
         inertial = link.find("inertial")
@@ -257,12 +255,10 @@ def _links(description: RobotDescription, robot: ElementTree.Element) -> Iterato
         has_mass = _value(inertial.find("mass"), "value") > 0.0
         if name != description.root:
             weightless += [name] if not has_mass and any(moments) else []
-            impossible += [name] if has_mass and not is_possible(moments) else []
         shared[moments].append(name)
     texts = (
         (bare, "moved by a joint, but without mass: what hangs on it must have some"),
         (weightless, "inertia without mass: the inertia is simulated all the same"),
-        (impossible, "moments of inertia that no body has"),
     )
     yield from (Remark(tuple(names), text) for names, text in texts if names)
     number = sum(map(len, shared.values()))
@@ -383,7 +379,7 @@ class RobotSection(Record):
     def load(self, load: Callable[[str], RobotDescription]) -> RobotDescription:
         """Return the robot with what is known better of it."""
         plain = load(self.description)
-        if not (self.joints or self.links or self.held):
+        if not (self.joints or self.links or self.held or plain.mends):
             return plain
         try:
             return amended(plain, self.joints, self.links, self.held)

@@ -7,9 +7,11 @@ are read from the transmissions in Drake's convention, ``drake:rotor_inertia`` a
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -18,7 +20,10 @@ from xml.etree import ElementTree
 from hpid_ros.base.errors import RobotDescriptionError, unknown_name
 from hpid_ros.base.files import find_resource, is_file, package_folder, read_text
 from hpid_ros.base.units import Numbers
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
+from hpid_ros.robot.mending import HELD_AT, MOVING_TYPES, Mend, is_impossible, mass_of, mend
+
+_logger = logging.getLogger(__name__)
 
 _FILE, _PACKAGE = "file://", "package://"
 _BEFORE_XML = "\ufeff \t\r\n"  # editors write a byte order mark, launch files read it as text
@@ -71,8 +76,9 @@ def _places(filename: str, folder: Path | None) -> Iterator[Path]:
 
 
 DRAKE_NAMESPACE = "http://drake.mit.edu"
-MOVING_TYPES = frozenset({"revolute", "continuous", "prismatic"})
-OTHER_TYPES = frozenset({"fixed", "floating", "planar"})
+ElementTree.register_namespace("drake", DRAKE_NAMESPACE)
+UNDRIVABLE_TYPES = frozenset({"floating", "planar"})
+OTHER_TYPES = UNDRIVABLE_TYPES | {"fixed"}
 PAYLOAD_EDGE = 0.08  # [m] of a payload, a solid cube
 
 
@@ -88,12 +94,13 @@ class JointDescription:
     child: str  # name of the child link
     lower: float = -math.inf  # [rad] lowest position; -inf where there is none
     upper: float = math.inf  # [rad] highest position; +inf where there is none
-    effort: float = math.inf  # [N m] or [N], largest absolute; +inf where there is none
+    effort: float = math.inf  # [N m] or [N], largest absolute; +inf where there is none, or 0
     velocity: float = math.inf  # [rad/s] largest absolute velocity; +inf where there is none
     damping: float = 0.0  # [N m s/rad] viscous friction
     friction: float = 0.0  # [N m] or [N], Coulomb friction
     rotor_inertia: float = 0.0  # [kg m^2] inertia of the motor's rotor about its own axis
     gear_ratio: float = 1.0  # turns of the rotor for one turn of the joint; 1 without a gear
+    has_zero_effort: bool = False  # whether its limit of effort is 0: nobody can drive it by that
 
     @property
     def is_slide(self) -> bool:
@@ -109,6 +116,15 @@ class JointDescription:
     def reflected_inertia(self) -> float:
         """Rotor inertia as the joint feels it, Jr N^2, in [kg m^2]."""
         return self.rotor_inertia * self.gear_ratio**2
+
+    def require_effort(self, settings: LoopSettings) -> None:
+        """Refuse settings that drive the joint where neither they nor the URDF say an effort."""
+        if self.has_zero_effort and settings.effort.largest == LARGEST_EFFORT:
+            raise RobotDescriptionError(
+                f"joint {self.name!r}: its effort limit in the URDF is 0: say what its motor can "
+                f"give (robot.joints.{self.name}.effort of an experiment, or u_clamp_max), or "
+                "hold it (robot.held)"
+            )
 
     def within(self, settings: LoopSettings) -> LoopSettings:
         """Return settings within the limits of this joint, with its friction where they ask."""
@@ -180,6 +196,7 @@ def read_joint(
         friction=_number(dynamics, "friction", 0.0, where, 0.0),
         rotor_inertia=rotor_inertia,
         gear_ratio=gear_ratio,
+        has_zero_effort=_number(limit, "effort", math.inf, where, 0.0) == 0.0,
     )
 
 
@@ -279,23 +296,25 @@ def _contradictions(
         if joint.lower > joint.upper:
             text = f"lower limit {joint.lower:g} is above its upper limit {joint.upper:g}"
             yield Contradiction((name,), f"joint {name!r}: its {text}: correct the URDF")
-        elif joint.lower == joint.upper:
-            text = f"limits are both {joint.lower:g}, it cannot move"
-            out = "make it fixed in the URDF, or hold it (robot.held)"
-            yield Contradiction((name,), f"joint {name!r}: its {text}: {out}")
+    for element in robot.findall("joint"):
+        name, kind = element.get("name", ""), element.get("type")
+        if kind in UNDRIVABLE_TYPES:
+            out = f"make it fixed in the URDF, or hold it (robot.held: {{{name}: 0}})"
+            free = " (a base is free without: fixed_base: false)" if kind == "floating" else ""
+            yield Contradiction((), f"joint {name!r} is {kind}, which nothing drives: {out}{free}")
     yield from _mimic_contradictions(robot, joints)
     for link in robot.findall("link"):
+        name = link.get("name", "")
         found = link.find("inertial/mass")
-        text = "0" if found is None else found.get("value", "0")
-        try:
-            mass = float(text)
-        except ValueError:
-            mass = math.nan
-        if not 0.0 <= mass < math.inf:
-            name = link.get("name", "")
+        if not 0.0 <= mass_of(link) < math.inf:
+            text = "" if found is None else found.get("value", "0")
             yield Contradiction(
                 (), f"link {name!r}: its mass {text!r} is no mass in kg, 0 or more"
             )
+        elif is_impossible(link):
+            text = "its inertia has a negative moment"
+            out = f"correct the URDF, or say it in robot.links.{name}"
+            yield Contradiction((), f"link {name!r}: {text}: {out}")
 
 
 def _mimic_contradictions(
@@ -353,6 +372,8 @@ class RobotDescription:
     root: str  # name of the link that hangs on no joint
     folder: Path | None = None  # folder of the file, for meshes with relative paths
     contradictions: tuple[Contradiction, ...] = ()  # what no robot can be
+    held: Mapping[str, float] = field(default_factory=dict)  # joints that could move, and where
+    mends: tuple[Mend, ...] = ()  # what was mended when it was loaded
 
     @property
     def slides(self) -> frozenset[str]:
@@ -363,6 +384,17 @@ class RobotDescription:
         """Return positions that were given, and the nearest of joints that cannot be at 0."""
         nearest = {name: min(max(0.0, j.lower), j.upper) for name, j in self.joints.items()}
         return {name: at for name, at in nearest.items() if at} | dict(given)
+
+    def undriven(self, driven: Collection[str]) -> str:
+        """Say which joints nobody drives, and what they do; empty where there are none."""
+        free = tuple(name for name in self.joints if name not in driven)
+        said = [f"held: {listed(tuple(self.held))}"] if self.held else []
+        if free:
+            said.append(
+                f"free: {listed(free)}: nobody drives them, they move against their friction "
+                "alone; robot.held holds them"
+            )
+        return "; ".join(said)
 
     @property
     def last_link(self) -> str:
@@ -390,6 +422,11 @@ class RobotDescription:
         """Return the joints of the given names, whatever is said of them."""
         found: dict[str, JointDescription] = {}
         for name in names:
+            if name in self.held:
+                raise RobotDescriptionError(
+                    f"joint {name!r} does not move: it is held at {self.held[name]:g}, by "
+                    "robot.held or because its limits are the same"
+                )
             if name not in self.joints:
                 raise RobotDescriptionError(unknown_name("joint", name, self.joints))
             if name in found:
@@ -423,6 +460,11 @@ def _parse(xml: str, origin: str, folder: Path | None) -> RobotDescription:
             f"{origin} is not a URDF: its root is <{root.tag}>, not <robot>"
         )
     _require_no_xacro(root, origin)
+    mends, is_other = mend(root)
+    for each in mends:
+        _say(f"{origin}: {listed(each.names)}: {each.text}")
+    if is_other:
+        xml = ElementTree.tostring(root, encoding="unicode")
     rotors = read_rotors(root, origin)
     joints: dict[str, JointDescription] = {}
     for element in root.findall("joint"):
@@ -445,7 +487,29 @@ def _parse(xml: str, origin: str, folder: Path | None) -> RobotDescription:
         _root_link(root, links, origin),
         folder,
         tuple(_contradictions(root, joints)),
+        held_joints(root),
+        tuple(mends),
     )
+
+
+def held_joints(robot: ElementTree.Element) -> dict[str, float]:
+    """Return where joints stand that could move, by the attribute that was left at them."""
+    elements = [each for each in robot.findall("joint") if each.get(HELD_AT) is not None]
+    origin = "a held joint"
+    return {each.get("name", ""): _number(each, HELD_AT, 0.0, origin) for each in elements}
+
+
+def listed(names: Sequence[str], most: int = _SHOWN) -> str:
+    """Return a few names and how many more there are."""
+    few = names if len(names) <= most else names[: most - 1]
+    more = f" and {len(names) - len(few)} more" if len(names) > len(few) else ""
+    return ", ".join(few) + more
+
+
+@lru_cache(maxsize=256)
+def _say(line: str) -> None:
+    """Log a line, once for all the times that a process loads a robot."""
+    _logger.warning("%s", line)
 
 
 def _elements(xml: str, origin: str) -> ElementTree.Element:
@@ -541,6 +605,7 @@ class GivenRobot:
     description: RobotDescription  # what that says
     fixed_base: bool = False  # whether its root is held
     initial_positions: Mapping[str, float] = field(default_factory=dict)
+    driven: tuple[str, ...] | None = None  # joints that are driven; None where nobody says
     wheels: tuple[str, ...] = ()  # joints on which its base rolls, as far as they are named
 
 

@@ -12,8 +12,9 @@ import pinocchio
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.units import Numbers
-from hpid_ros.robot.description import MOVING_TYPES, PAYLOAD_EDGE, RobotDescription
+from hpid_ros.robot.description import PAYLOAD_EDGE, RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
+from hpid_ros.robot.mending import MOVING_TYPES
 
 PAYLOAD_LINK = "payload"
 
@@ -82,7 +83,7 @@ def build_model(
             armature[velocity_index(model, joint.name)] = joint.reflected_inertia
     model.armature = armature
     if payload_mass:
-        frame = model.frames[model.getFrameId(description.link(payload_link))]
+        frame = model.frames[link_frame(model, description.link(payload_link))]
         moments = payload_mass * PAYLOAD_EDGE**2 / 6.0 * np.eye(3)
         load = pinocchio.Inertia(payload_mass, np.zeros(3), moments)
         model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
@@ -106,6 +107,11 @@ def data_of(model: pinocchio.Model) -> pinocchio.Data:
 def velocity_index(model: pinocchio.Model, joint: str) -> int:
     """Return where a joint's velocity stands in the model's velocity vector."""
     return int(model.joints[model.getJointId(joint)].idx_v)
+
+
+def link_frame(model: pinocchio.Model, link: str) -> int:
+    """Return the index of a link's frame; a joint may have the same name."""
+    return int(model.getFrameId(link, pinocchio.FrameType.BODY))
 
 
 class InertiaRange(NamedTuple):

@@ -24,7 +24,7 @@ import pinocchio
 from hpid_ros.base.errors import ReachError, RobotDescriptionError, SettingError
 from hpid_ros.base.units import Numbers
 from hpid_ros.robot.description import LinkPose, RobotDescription
-from hpid_ros.robot.dynamics import bare_model, data_of, velocity_index
+from hpid_ros.robot.dynamics import bare_model, data_of, link_frame, velocity_index
 
 
 class LinkPoses(NamedTuple):
@@ -88,7 +88,7 @@ class Kinematics:
         self.link = description.link(link)
         self._model = bare_model(description)
         self._data = data_of(self._model)
-        self._frame = self._model.getFrameId(link)
+        self._frame = link_frame(self._model, link)
         chosen = description.select(self._chain() if joints is None else joints)
         if not chosen:
             raise RobotDescriptionError(f"no joint moves the link {link!r}")
@@ -224,7 +224,7 @@ def link_poses(
     """Return where each link is in the frame of the root link."""
     model = bare_model(description)
     data = data_of(model)
-    frames = {name: model.getFrameId(name) for name in description.links}
+    frames = {name: link_frame(model, name) for name in description.links}
     motions = np.zeros((count, model.nv))
     for joint in description.select(positions):
         motions[:, velocity_index(model, joint.name)] = positions[joint.name]

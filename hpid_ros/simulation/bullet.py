@@ -24,16 +24,22 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 
 from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.base.units import Vector
-from hpid_ros.robot.description import PAYLOAD_EDGE, JointDescription, RobotDescription, find_mesh
+from hpid_ros.robot.description import (
+    PAYLOAD_EDGE,
+    JointDescription,
+    RobotDescription,
+    end_of,
+    find_mesh,
+)
 from hpid_ros.simulation.physics import (
     GROUND_FRICTION,
     NEGLIGIBLE_INERTIA,
@@ -44,6 +50,9 @@ from hpid_ros.simulation.physics import (
     require_staying,
 )
 from hpid_ros.simulation.settings import Brick, Support, WorldSettings
+
+if TYPE_CHECKING:
+    from hpid_ros.simulation.merging import Placement
 
 _logger = logging.getLogger(__name__)
 _STANDARD_STREAMS = (1, 2)
@@ -129,7 +138,7 @@ def add_rotors(robot: ElementTree.Element, joints: Iterable[JointDescription]) -
         link = ElementTree.SubElement(robot, "link", name=name)
         _add_inertial(link, ROTOR_MASS, joint.rotor_inertia)
         rotor = ElementTree.SubElement(robot, "joint", name=name, type="continuous")
-        ElementTree.SubElement(rotor, "parent", link=joint.parent)
+        ElementTree.SubElement(rotor, "parent", link=end_of(element, "parent"))
         ElementTree.SubElement(rotor, "child", link=name)
         for tag in ("origin", "axis"):
             found = element.find(tag)
@@ -147,25 +156,54 @@ def rotor_name(joint: JointDescription) -> str:
     return joint.name + ROTOR_SUFFIX
 
 
-def bullet_urdf(description: RobotDescription, *, is_shown: bool = False) -> str:
+MOST_LINKS = 128
+"""Links of a robot in Bullet, rotors counted: of others it gives no states."""
+
+
+class BulletRobot(NamedTuple):
+    """What Bullet gets of a robot."""
+
+    urdf: str
+    merged: Mapping[str, Placement]  # links that are part of others, where there were too many
+
+
+def bullet_robot(
+    description: RobotDescription, kept: Collection[str] = (), *, is_shown: bool = False
+) -> BulletRobot:
     """Return the URDF text that Bullet gets.
 
     Rotors are added; links without an inertial element become weightless frames (Bullet would
     make 1 kg and 1 kg m^2 of each); mesh paths become absolute, since the text is loaded from
-    a temporary file; and what nobody will see is left out, which loads many times faster.
+    a temporary file; what nobody will see is left out, which loads many times faster; of a robot
+    of too many links those on fixed joints become part of others, but for those that are kept.
     """
     robot = ElementTree.fromstring(description.xml)
     for link in robot.findall("link"):
-        if link.find("inertial") is None:
-            _add_inertial(link, NEGLIGIBLE_MASS, NEGLIGIBLE_INERTIA)
         _place_meshes(link, "collision", description.folder)
         if is_shown:
             _place_meshes(link, "visual", description.folder)
         else:
             for shape in link.findall("visual"):
                 link.remove(shape)
+    merged = {}
+    number = len(description.links) + len(geared(description.joints.values()))
+    if number > MOST_LINKS:
+        from hpid_ros.simulation.merging import merge_fixed  # SciPy is slow to import
+
+        merged = merge_fixed(robot, kept)
+        number -= len(merged)
+        if number > MOST_LINKS:
+            raise RobotDescriptionError(
+                f"PyBullet takes {MOST_LINKS} links that move, rotors counted, and "
+                f"{description.name!r} has {number}: hold joints (robot.held), or choose "
+                "engine: mujoco"
+            )
+    for link in robot.findall("link"):
+        if link.find("inertial") is None:
+            _add_inertial(link, NEGLIGIBLE_MASS, NEGLIGIBLE_INERTIA)
     add_rotors(robot, description.joints.values())
-    return ElementTree.tostring(robot, encoding="unicode")
+    ElementTree.indent(robot)  # a line of more than some kB is too long for Bullet
+    return BulletRobot(ElementTree.tostring(robot, encoding="unicode"), merged)
 
 
 _TRIAL = """
@@ -284,7 +322,8 @@ class BulletPhysics:
 
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
-        self._urdf = bullet_urdf(description, is_shown=settings.gui)
+        kept = {*settings.links, settings.payload_link}
+        self._urdf, self._merged = bullet_robot(description, kept, is_shown=settings.gui)
         require_readable_meshes(self._urdf)
         self.client = Client(settings.gui)
         self._damping: Sequence[float] | None = None
@@ -508,8 +547,9 @@ class BulletPhysics:
         self._brake(self.driven, forces)
 
     def push(self, link: str, force: Vector, torque: Vector) -> None:
-        client, body, index = self.client, self.body, self._links[link]
-        origin, centre = self._pose(index).position, self._centre_of_mass(index)
+        client, body = self.client, self.body
+        index = self._links[self._merged[link].link if link in self._merged else link]
+        origin, centre = self.link_pose(link).position, self._centre_of_mass(index)
         x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
         fx, fy, fz = force
         tx, ty, tz = torque
@@ -531,7 +571,11 @@ class BulletPhysics:
         )
 
     def link_pose(self, link: str) -> Pose:
-        return self._pose(self._links[link])
+        if link not in self._merged:
+            return self._pose(self._links[link])
+        into, position, orientation = self._merged[link]
+        whole = self._pose(self._links[into])
+        return Pose(*self.client.multiplyTransforms(*whole, position, orientation))
 
     def root_pose(self) -> Pose:
         return self._pose(_ROOT)

@@ -163,6 +163,8 @@ class _Robot:
         inertial = link.find("inertial")
         mass, centre, moments = (0.0, [], []) if inertial is None else _inertial(inertial)
         if mass or any(moments):
+            if moves:  # also a frame with an inertia alone
+                mass = max(mass, NEGLIGIBLE_MASS)
             body.mass, body.ipos, body.fullinertia = mass, centre, moments
             body.explicitinertial = True
         elif moves:

@@ -190,7 +190,7 @@ def _load(source: str, folders: Sequence[Path]) -> RobotDescription:
 
 
 def _description(robot: RobotSection, known: RobotDescription, folders: Sequence[Path]) -> str:
-    is_plain = not (robot.joints or robot.links or robot.held)
+    is_plain = not (robot.joints or robot.links or robot.held or known.mends)
     return str(robot_source(robot.description, folders)) if is_plain else known.xml
 
 

@@ -24,6 +24,7 @@ from hpid_ros.cli.options import (
     load_robot,
     loop_file,
     named_experiment,
+    print_undriven,
     shown_name,
     sliding_joints,
     warn_unlimited,
@@ -223,6 +224,7 @@ def gains(options: argparse.Namespace) -> int:
         inertias = initial_inertias(experiment, tuple(loops.values()))
         slides, frictions = experiment.slides, experiment.frictions
         warn_unlimited(experiment.description, loops.values())
+        print_undriven(experiment)
     with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
         designs = design(
             loops, inertias, options.rule, options.closed_loop_time, options.delay, progress

@@ -17,6 +17,7 @@ from hpid_ros.cli.options import (
     loops_of,
     named_experiment,
     output_folder,
+    print_undriven,
     warn_uncontrolled,
     warn_unlimited,
 )
@@ -102,6 +103,7 @@ def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
     warn_uncontrolled(experiments)
     first = experiments[0]
     warn_unlimited(first.description, loops_of(first))
+    print_undriven(first)
     output = output_folder(options, first.name)
     console = output_console()
     labels = [named(label, engine) for engine in engines for label in first.controllers]

@@ -18,7 +18,7 @@ from hpid_ros.cli.options import load_robot, write_output
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.report.table import WideTable
 from hpid_ros.robot.amendments import amended, review
-from hpid_ros.robot.description import GivenRobot
+from hpid_ros.robot.description import GivenRobot, listed
 from hpid_ros.robot.dynamics import Dynamics
 
 _COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")
@@ -41,8 +41,13 @@ def run(options: argparse.Namespace) -> int:
     remarks = review(robot.description)
     is_unsafe = any(each.is_unsafe for each in remarks)
     if options.json:
-        listed = [{"names": each.names, "text": each.text} for each in remarks]
-        document = {"robot": robot.description.name, "joints": facts, "remarks": listed}
+        texts = [{"names": each.names, "text": each.text} for each in remarks]
+        document = {
+            "robot": robot.description.name,
+            "joints": facts,
+            "held": dict(robot.description.held),
+            "remarks": texts,
+        }
         print(json.dumps(document, indent=2))
     else:
         console = output_console()
@@ -51,10 +56,13 @@ def run(options: argparse.Namespace) -> int:
         slides = tuple(joint.name for joint in robot.description.joints.values() if joint.is_slide)
         if slides:
             verb = "slides" if len(slides) == 1 else "slide"
-            console.print(f"{_listed(slides)} {verb}: {_OF_SLIDES}", soft_wrap=True)
+            console.print(f"{listed(slides, _SHOWN)} {verb}: {_OF_SLIDES}", soft_wrap=True)
+        driven = robot.description.joints if robot.driven is None else robot.driven
+        if undriven := robot.description.undriven(driven):
+            console.print(undriven, soft_wrap=True)
         for each in remarks:
             console.print(
-                f"{_listed(each.names)}: {each.text}",
+                f"{listed(each.names, _SHOWN)}: {each.text}",
                 style="yellow" if each.is_unsafe else "",
                 soft_wrap=True,
             )
@@ -64,13 +72,6 @@ def run(options: argparse.Namespace) -> int:
         # With nothing to amend, only its meshes are named so that they are found from there.
         write_output(options.save, amended(robot.description, {}, {}, {}).xml)
     return FAILED if is_unsafe else DONE
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    """Return a few names and how many more there are."""
-    shown = names if len(names) <= _SHOWN else names[: _SHOWN - 1]
-    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
-    return ", ".join(shown) + more
 
 
 def _facts(robot: GivenRobot, poses: int) -> dict[str, dict[str, Any]]:
