@@ -21,7 +21,15 @@ from hpid_ros.base.errors import RobotDescriptionError, unknown_name
 from hpid_ros.base.files import find_resource, is_file, package_folder, read_text
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
-from hpid_ros.robot.mending import HELD_AT, MOVING_TYPES, Mend, is_impossible, mass_of, mend
+from hpid_ros.robot.mending import (
+    HELD_AT,
+    MOVING_TYPES,
+    Mend,
+    is_impossible,
+    mass_of,
+    mend,
+    moments_of,
+)
 
 _logger = logging.getLogger(__name__)
 
@@ -311,6 +319,9 @@ def _contradictions(
             yield Contradiction(
                 (), f"link {name!r}: its mass {text!r} is no mass in kg, 0 or more"
             )
+        elif link.find("inertial/inertia") is not None and moments_of(link) is None:
+            out = "has six finite numbers: ixx ixy ixz iyy iyz izz"
+            yield Contradiction((), f"link {name!r}: its inertia is no tensor, which {out}")
         elif is_impossible(link):
             text = "its inertia has a negative moment"
             out = f"correct the URDF, or say it in robot.links.{name}"

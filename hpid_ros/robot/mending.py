@@ -26,13 +26,14 @@ LIGHT = 1e-3
 """Mass in [kg] of a link whose inertia nobody can have meant."""
 
 _MOVING_ONLY = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
+_NUMBERS = frozenset({"mass", "inertia", "limit", "dynamics", "origin", "axis"})
 _ROUNDING = 1e-3  # of an axis, as "0.707 0 0.707" has it: nobody needs to be told
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Of the largest moment: by so much the sum of two exceeds the third, since engines turn tensors,
 # with roundings of their own, before they look at them.
 _SLACK = 1e-6
 _GYRATION = 3e-3  # [m] radius of a body whose inertia is given as none
-_LEAST_MASS = 1e-9  # [kg] of a body; what is lighter, and has no inertia, is a frame
+_LEAST_MASS, _LEAST_MOMENT = 1e-9, 1e-12  # [kg], [kg m^2] of a body; MuJoCo takes 1e-14 for 0
 _TOLD = 1e-4  # share of the largest moment; less is a rounding of who wrote the file
 
 
@@ -47,8 +48,18 @@ def mend(robot: ElementTree.Element) -> tuple[list[Mend], bool]:
     """Mend a URDF in place; return what to say of it, and whether anything is another."""
     joints = [each for each in robot.findall("joint") if each.get("type") in MOVING_TYPES]
     before = ElementTree.tostring(robot)
+    _strip(robot)
     found = [*_axes(joints), *_ranges(joints), *_inertias(robot)]
     return found, ElementTree.tostring(robot) != before
+
+
+def _strip(robot: ElementTree.Element) -> None:
+    """Take blanks from around numbers: to some readers one with a blank after it is none."""
+    for element in robot.iter():
+        if element.tag in _NUMBERS:
+            for name, value in element.attrib.items():
+                if value != value.strip():
+                    element.set(name, value.strip())
 
 
 def vector(text: str | None) -> Numbers | None:
@@ -134,6 +145,7 @@ def _text(numbers: Numbers) -> str:
 def _inertias(robot: ElementTree.Element) -> Iterator[Mend]:
     """Give links the moments of inertia that some body can have, the nearest to what they had."""
     told: list[str] = []
+    frames: list[str] = []
     most = 0.0
     for link in robot.findall("link"):
         element = link.find("inertial/inertia")
@@ -143,12 +155,12 @@ def _inertias(robot: ElementTree.Element) -> Iterator[Mend]:
         mass = mass_of(link)
         if not (moments.any() or mass > 0.0):
             continue  # a frame that says so
+        if mass < _LEAST_MASS and np.abs(moments).max() < _LEAST_MOMENT:
+            link.remove(cast(ElementTree.Element, link.find("inertial")))
+            frames.append(link.get("name", ""))
+            continue
         better = nearest_possible(moments, mass, is_turned(link))
         if better is moments:
-            continue
-        if not (mass >= _LEAST_MASS or moments.any()):
-            link.remove(cast(ElementTree.Element, link.find("inertial")))
-            told.append(link.get("name", ""))
             continue
         values = better[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
         for name, value in zip(_MOMENTS, values, strict=True):
@@ -157,6 +169,8 @@ def _inertias(robot: ElementTree.Element) -> Iterator[Mend]:
         if change > _TOLD * np.abs(moments).max():
             told.append(link.get("name", ""))
             most = max(most, change)
+    if frames:
+        yield Mend(tuple(frames), "next to no mass and inertia: without any, as a frame")
     if told:
         text = "moments of inertia that no body has: the nearest possible count"
         yield Mend(tuple(told), f"{text}, other by {most:.2g} kg m^2 at most")
@@ -164,9 +178,14 @@ def _inertias(robot: ElementTree.Element) -> Iterator[Mend]:
 
 def is_impossible(link: ElementTree.Element) -> bool:
     """Return whether a link that weighs something has a negative moment: its sign is wrong."""
-    element = link.find("inertial/inertia")
-    moments = None if element is None else inertia_of(element)
+    moments = moments_of(link)
     return moments is not None and bool((np.diag(moments) < 0.0).any()) and mass_of(link) > LIGHT
+
+
+def moments_of(link: ElementTree.Element) -> Numbers | None:
+    """Return a link's tensor of inertia as it is written; None if it has none that is one."""
+    element = link.find("inertial/inertia")
+    return None if element is None else inertia_of(element)
 
 
 def mass_of(link: ElementTree.Element) -> float:
@@ -213,7 +232,9 @@ def nearest_possible(tensor: Numbers, mass: float = 0.0, is_turned: bool = False
         slack = _SLACK
     second = values.sum() / 2.0 - values
     largest = float(np.abs(values).max())
-    if values.min() > 0.0 and second.min() >= slack * largest:
+    if values.min() > _LEAST_MOMENT and second.min() >= slack * largest:
         return tensor
-    second = np.maximum(second, max(10.0 * _SLACK * largest, _GYRATION**2 * mass / 2.0))
+    second = np.maximum(
+        second, max(10.0 * _SLACK * largest, _GYRATION**2 * mass / 2.0, _LEAST_MOMENT)
+    )
     return np.asarray((vectors * (second.sum() - second)) @ vectors.T)
