@@ -3,7 +3,8 @@
 Of each URDF it prints a row: what was mended when it was loaded, what cannot be used and why, and
 how far the totals of the two engines are from each other. On a fixed base every joint that mimics
 none follows a quintic over a part of its range, under a PID with gravity compensation whose gains
-are those of its inertia at the start; joints that mimic are held. Meshes are not needed.
+are those of its inertia at the start; joints that mimic or that
+nothing drives are held. Meshes are not needed.
 """
 
 from __future__ import annotations
@@ -24,7 +25,12 @@ from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.robot.amendments import amended
-from hpid_ros.robot.description import JointDescription, RobotDescription, listed
+from hpid_ros.robot.description import (
+    UNDRIVABLE_TYPES,
+    JointDescription,
+    RobotDescription,
+    listed,
+)
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation.settings import ENGINES
 
@@ -78,8 +84,11 @@ def _mimics(description: RobotDescription) -> dict[str, float]:
     return {
         name: start.get(name, 0.0)
         for element in robot.findall("joint")
-        if element.find("mimic") is not None
-        and (name := element.get("name", "")) in description.joints
+        if (name := element.get("name", "")) not in description.held
+        and (
+            (element.find("mimic") is not None and name in description.joints)
+            or element.get("type") in UNDRIVABLE_TYPES
+        )
     }
 
 

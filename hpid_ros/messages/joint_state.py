@@ -383,6 +383,10 @@ class JointStateTemplate:
         return bytes(buffer)
 
 
+SIMULATED = "simulated"
+"""``frame_id`` of states whose robot is simulated: their clock goes back when it is reset."""
+
+
 class JointSample(NamedTuple):
     """One joint's part of a JointState."""
 
@@ -400,6 +404,8 @@ class JointReader:
 
     def __init__(self, joint: str) -> None:
         self.joint = joint
+        self.is_simulated = False
+        """Whether the newest states are of a robot that says that it is simulated."""
         self._layout: Layout | None = None
         self._numbers = struct.Struct("")
         self._has_velocity = False
@@ -425,6 +431,7 @@ class JointReader:
             return None
         index = fields.place_of(self.joint)
         fields.require_lengths("velocity")
+        self.is_simulated = fields.frame_id == SIMULATED
         self._layout = layout = joint_state_layout(raw)
         position, velocity = (
             layout.fields[field].offset + _DOUBLE * index for field in ("position", "velocity")

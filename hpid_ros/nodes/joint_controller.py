@@ -343,6 +343,8 @@ class JointController(ManagedNode):
             self._health.foreign += 1
             self._seen.newest = raw
             return
+        if self._reader.is_simulated and not self._loop.settings.timing.is_simulated:
+            self._know_as_simulated()
         model = self._model
         by_model = None if model is None else partial(model.answer, self._loop, sample, raw)
         effort = self._supervised.answer(*sample, began_ns, by_model)
@@ -357,6 +359,13 @@ class JointController(ManagedNode):
             self._report()
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
+
+    def _know_as_simulated(self) -> None:
+        """Go by a clock that a reset puts back: the states say that their robot is simulated."""
+        self.set_parameters([Parameter("state_clock", value="simulated")])
+        self.get_logger().info(
+            "the states are those of a simulated robot: state_clock is simulated from here on"
+        )
 
     def _is_left(self) -> bool:
         return not self._is_listening

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -25,12 +25,13 @@ from hpid_ros.base.names import controller_name
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import load_document
-from hpid_ros.messages.joint_state import EffortReader, JointStateTemplate
+from hpid_ros.messages.joint_state import SIMULATED, EffortReader, JointStateTemplate
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import (
     ALL_COMMANDS,
     OFFERED,
+    UNNAMED,
     overridable,
     steady_timer,
     subscribe_raw,
@@ -201,15 +202,35 @@ class PaceParameters(Record):
         return round(self.duration * NANOSECONDS) or None
 
 
+_CONTROLLERS = -1  # are waited for, not a number of subscribers or publishers
+
+
+class _Present(NamedTuple):
+    """How many of something are there, and how many the first state waits for."""
+
+    found: int
+    needed: int
+
+    @property
+    def is_short(self) -> bool:
+        return self.found < self.needed
+
+
 @dataclass(frozen=True)
 class WaitingParameters(Record):
     """What the first state waits for."""
 
     wait_for_subscribers: int = quantity(
-        "Subscribers that states must have first", default=0, least=0
+        "Subscribers that states must have first; -1 those of the controllers of all driven "
+        "joints, or of what commands them in their place",
+        default=_CONTROLLERS,
+        least=_CONTROLLERS,
     )
     wait_for_publishers: int = quantity(
-        "Publishers that commands must have first", default=0, least=0
+        "Publishers that commands must have first; -1 the controllers of all driven joints, or "
+        "one that commands them in their place",
+        default=_CONTROLLERS,
+        least=_CONTROLLERS,
     )
 
 
@@ -254,7 +275,7 @@ class RobotBridge(executor.ClosingNode):
         settings = found.world
         self._pace = pace = read(self, PaceParameters)
         self._answer_timeout = found.control.answer_timeout
-        everyone = len(settings.joints) if pace.is_lockstep else 0
+        everyone = len(settings.joints) if pace.is_lockstep else _CONTROLLERS
         self._waiting = read(
             self, WaitingParameters, wait_for_subscribers=everyone, wait_for_publishers=everyone
         )
@@ -277,6 +298,7 @@ class RobotBridge(executor.ClosingNode):
         self._reader = EffortReader()
         self._template = JointStateTemplate(
             settings.joints,
+            SIMULATED,
             position=True,
             velocity=self._world.read_velocities() is not None,
             effort=True,
@@ -312,17 +334,14 @@ class RobotBridge(executor.ClosingNode):
 
     def _start_when_ready(self) -> None:
         has_recorder = self.recorder is None or self.recorder.is_recording
-        listeners = self._states.get_subscription_count()
-        commanders = self.count_publishers(COMMANDS)
-        if (
-            listeners < self._waiting.wait_for_subscribers
-            or commanders < self._waiting.wait_for_publishers
-            or not has_recorder
-        ):
+        listeners, commanders = self._present()
+        if listeners.is_short or commanders.is_short or not has_recorder:
             now_ns = time.perf_counter_ns()
             if now_ns - self._progressed_ns > NANOSECONDS:
                 self._progressed_ns = now_ns
-                self._status.send("waiting", listeners=listeners, commanders=commanders)
+                self._status.send(
+                    "waiting", listeners=listeners.found, commanders=commanders.found
+                )
             return
         self._readiness.cancel()
         self._is_started = True
@@ -335,22 +354,56 @@ class RobotBridge(executor.ClosingNode):
             self._publish_state()
             steady_timer(self, period / self._pace.real_time_factor, self._resume)
 
+    def _present(self) -> tuple[_Present, _Present]:
+        """Return the subscribers of states and the publishers of commands that count.
+
+        Where no numbers are given these are the controllers, who listen and command by their
+        joints' names, or what is called otherwise and commands all joints, as a merger does.
+        """
+        asked = self._waiting
+        given = asked.wait_for_subscribers, asked.wait_for_publishers
+        if max(given) > _CONTROLLERS:
+            found = self._states.get_subscription_count(), self.count_publishers(COMMANDS)
+            of_states, of_commands = zip(found, (max(each, 0) for each in given), strict=True)
+            return _Present(*of_states), _Present(*of_commands)
+        states, commands = self._topics
+        listeners, commanders = (
+            {end.node_name for end in ends} - {UNNAMED}  # not discovered yet
+            for ends in (
+                self.get_subscriptions_info_by_topic(states),
+                self.get_publishers_info_by_topic(commands),
+            )
+        )
+        controllers = set(map(controller_name, self._barrier.joints))
+        if commanders - controllers and not listeners & controllers:
+            return _Present(len(listeners), 1), _Present(1, 1)
+        if commanders - controllers:
+            return _Present(len(listeners & controllers), len(controllers)), _Present(1, 1)
+        return (
+            _Present(len(listeners & controllers), len(controllers)),
+            _Present(len(commanders & controllers), len(controllers)),
+        )
+
     def _awaited_listeners(self) -> Wait | None:
         """Return which subscribers the first state waits for, for the log."""
-        needed = self._waiting.wait_for_subscribers
-        if self._is_started or self._states.get_subscription_count() >= needed:
+        if self._is_started:
+            return None
+        present, _ = self._present()
+        if not present.is_short:
             return None
         topic = self._states.topic_name
-        what, arrival = _counted(needed, "subscriber", "of the states")
+        what, arrival = _counted(present.needed, "subscriber", "of the states")
         return Wait(what, arrival, topic, lambda _: described(other_side(self, self._states)))
 
     def _awaited_commanders(self) -> Wait | None:
         """Return which publishers the first state waits for, for the log."""
-        needed = self._waiting.wait_for_publishers
-        if self._is_started or self.count_publishers(COMMANDS) >= needed:
+        if self._is_started:
+            return None
+        _, present = self._present()
+        if not present.is_short:
             return None
         topic = self._commands.topic_name
-        what, arrival = _counted(needed, "publisher", "of commands")
+        what, arrival = _counted(present.needed, "publisher", "of commands")
         return Wait(what, arrival, topic, self._commanders_found)
 
     def _commanders_found(self, joints: Sequence[str]) -> str:
