@@ -436,7 +436,7 @@ class RobotDescription:
             if name in self.held:
                 raise RobotDescriptionError(
                     f"joint {name!r} does not move: it is held at {self.held[name]:g}, by "
-                    "robot.held or because its limits are the same"
+                    "robot.held, or because its limits in the URDF are the same number"
                 )
             if name not in self.joints:
                 raise RobotDescriptionError(unknown_name("joint", name, self.joints))

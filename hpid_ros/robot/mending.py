@@ -32,6 +32,7 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Of the largest moment: by so much the sum of two exceeds the third, since engines turn tensors,
 # with roundings of their own, before they look at them.
 _SLACK = 1e-6
+_TINY = 1e-6  # [m^2] of a mass: what is less is a rounding
 _GYRATION = 3e-3  # [m] radius of a body whose inertia is given as none
 _LEAST_MASS, _LEAST_MOMENT = 1e-9, 1e-12  # [kg], [kg m^2] of a body; MuJoCo takes 1e-14 for 0
 _TOLD = 1e-4  # share of the largest moment; less is a rounding of who wrote the file
@@ -177,9 +178,9 @@ def _inertias(robot: ElementTree.Element) -> Iterator[Mend]:
 
 
 def is_impossible(link: ElementTree.Element) -> bool:
-    """Return whether a link that weighs something has a negative moment: its sign is wrong."""
-    moments = moments_of(link)
-    return moments is not None and bool((np.diag(moments) < 0.0).any()) and mass_of(link) > LIGHT
+    """Return whether a link that weighs something has a negative moment that is no rounding."""
+    moments, mass = moments_of(link), mass_of(link)
+    return moments is not None and mass > LIGHT and bool(np.diag(moments).min() < -_TINY * mass)
 
 
 def moments_of(link: ElementTree.Element) -> Numbers | None:

@@ -107,6 +107,13 @@ def test_moments_that_no_body_has_are_the_same_ones_in_both_engines_and_the_mode
     )
 
 
+def test_a_rounding_below_zero_is_no_wrong_sign():
+    """iCub's hip has ixx="-5.42101e-20"."""
+    robot = RobotDescription.load(arm(tool(inertial(0.5, "-5.4e-20 0 0 -5.4e-20 0 0"))))
+    robot.require_sound()
+    assert robot.mends
+
+
 @examples(4)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6), st.floats(1e-6, 10.0))
 def test_the_nearest_possible_body_is_possible_and_one_that_is_stays_as_it_is(values, mass):

@@ -11,7 +11,7 @@ from hpid_ros.experiment.in_process import write_document
 from hpid_ros.messages.joint_state import decode_joint_state
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS
 
-START, ASKED = -1.2, -1.7  # [rad] a horizontal arm, which falls towards 0; up from there
+START, ASKED = -1.2, -2.4  # [rad] a horizontal arm, which falls towards 0; up from there
 URDF = """<robot name="arm"><link name="base"/>
 <joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
 <origin rpy="3.14159265 0 0"/><limit lower="-3" upper="3" effort="60" velocity="6"/></joint>
@@ -40,9 +40,8 @@ def test_an_arm_falls_neither_before_its_controller_comes_nor_after_a_reset(harn
         ros_arguments(
             joint="elbow",
             law="pid",
-            compensation="gravity",
             robot_description=urdf,
-            **{"gains__p": 60.0, "gains__i": 120.0, "gains__d": 8.0, "control_period": 0.004},
+            **{"gains__p": 200.0, "gains__i": 400.0, "gains__d": 20.0, "control_period": 0.004},
         ),
     )
     harness.wait(lambda: len(seen) > 50, what="states")
