@@ -60,7 +60,8 @@ class Row(NamedTuple):
 
 def tried(path: Path) -> Row:
     """Run a robot in both engines."""
-    name, mends, links, joints = str(path), (), 0, 0
+    name, links, joints = str(path), 0, 0
+    mends: tuple[str, ...] = ()
     try:
         description = RobotDescription.load(path)
         mends = tuple(f"{listed(each.names, 3)}: {each.text}" for each in description.mends)
@@ -122,7 +123,8 @@ def _document(
     inertias: dict[str, float],
 ) -> dict[str, Any]:
     w = _BANDWIDTH
-    positions, gains = {}, {}
+    positions: dict[str, list[float]] = {}
+    gains: dict[str, dict[str, Any]] = {}
     for joint in joints:
         at, inertia = start.get(joint.name, 0.0), inertias[joint.name]
         room = min(_SHARE * (joint.upper - joint.lower), _MOST)

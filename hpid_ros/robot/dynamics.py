@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio
 
-from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.units import Numbers
 from hpid_ros.robot.description import PAYLOAD_EDGE, RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
@@ -218,9 +218,8 @@ class Dynamics:
         return [self._velocity_index(name) for name in names]
 
     def _velocity_index(self, name: str) -> int:
-        if name not in self.description.joints:
-            raise RobotDescriptionError(unknown_name("joint", name, self.description.joints))
-        return velocity_index(self._model, name)
+        (joint,) = self.description.named([name])
+        return velocity_index(self._model, joint.name)
 
     def _draw(self, generator: np.random.Generator) -> dict[str, float]:
         """Return a pose within the limits; a joint without limits turns all the way round."""
@@ -383,8 +382,7 @@ class InverseDynamics:
         others: Mapping[str, float] | None = None,
     ) -> None:
         for name in (*joints, *(others or {})):
-            if name not in description.joints:
-                raise RobotDescriptionError(unknown_name("joint", name, description.joints))
+            description.named([name])
         self._model = build_model(description)
         self._model.armature = np.zeros(self._model.nv)
         self._data = data_of(self._model)
