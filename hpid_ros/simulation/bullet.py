@@ -31,8 +31,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 
-import numpy as np
-
 from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.base.units import Vector
 from hpid_ros.robot.description import (
@@ -208,33 +206,6 @@ def bullet_robot(
     return BulletRobot(ElementTree.tostring(robot, encoding="unicode"), merged)
 
 
-_STIFFEST = 2.0  # of damping times step over inertia: beyond it a speed grows from step to step
-
-
-def _require_followed(settings: WorldSettings, description: RobotDescription) -> None:
-    """Refuse viscous friction that Bullet's steps cannot follow, as it takes it explicitly."""
-    damped = [joint for joint in description.joints.values() if joint.damping > 0.0]
-    if not damped:
-        return
-    from hpid_ros.robot.dynamics import Dynamics
-
-    names = [joint.name for joint in damped]
-    try:
-        inertias = Dynamics(description).joint_inertias(names, settings.start(description))
-    except np.linalg.LinAlgError:  # a joint moves no mass
-        return
-    shares = {joint.name: joint.damping / inertias[joint.name] for joint in damped}
-    name = max(shares, key=shares.__getitem__)
-    share = shares[name] * settings.physics_period
-    if share > _STIFFEST:
-        steps = math.ceil(settings.physics_steps * share / _STIFFEST * 2.0)
-        raise RobotDescriptionError(
-            f"joint {name!r}: its damping of {description.joints[name].damping:g} on "
-            f"{inertias[name]:.2g} kg m^2 is too stiff for PyBullet's steps, which would diverge: "
-            f"engine: mujoco, or physics_steps: {steps}"
-        )
-
-
 _TRIAL = """
 import sys
 import pybullet
@@ -351,7 +322,6 @@ class BulletPhysics:
 
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
-        _require_followed(settings, description)
         kept = {*settings.links, settings.payload_link}
         self._urdf, self._merged = bullet_robot(description, kept, is_shown=settings.gui)
         require_readable_meshes(self._urdf)

@@ -152,7 +152,8 @@ def test_a_merger_under_fuzzed_commands(harness, faults):
 
 
 def test_a_bridge_under_fuzzed_commands(harness, experiment_file, faults):
-    arguments = ros_arguments(world_file=experiment_file(duration=60.0), mode="realtime")
+    world = experiment_file(duration=60.0)
+    arguments = ros_arguments(world_file=world, mode="realtime", wait_for_publishers=0)
     started = harness.processes.start("mujoco_bridge", "mujoco_bridge", arguments)
     watched, told = Watched(started.process, "bridge", faults), Told(harness, "mujoco_bridge")
     commands = harness.node.create_publisher(JointState, "joint_commands", OFFERED)

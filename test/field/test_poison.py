@@ -135,7 +135,7 @@ def test_a_merger_lives_and_merges_after_each(harness):
 
 def test_a_bridge_lives_and_steps_after_each(harness, experiment_file):
     world = experiment_file(duration=60.0)
-    arguments = ros_arguments(world_file=world, mode="realtime")
+    arguments = ros_arguments(world_file=world, mode="realtime", wait_for_publishers=0)
     started = harness.processes.start("mujoco_bridge", "mujoco_bridge", arguments)
     told = Told(harness, "mujoco_bridge")
     harness.wait(lambda: told.newest(), what="the bridge")
