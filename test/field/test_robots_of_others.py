@@ -150,6 +150,18 @@ def test_what_is_mended_is_said_once_however_often_the_robot_is_loaded(caplog):
     assert not RobotDescription.load(RobotDescription.load(urdf).xml).mends
 
 
+def test_a_blank_around_a_number_changes_nothing():
+    """Right_Hand.urdf of unitree_ros has line breaks there: urdfdom then drops the inertia."""
+    broken = (
+        arm(tool(inertial(0.5))).replace('ixz="0"', 'ixz=" 0\n"').replace('value="', 'value="\n')
+    )
+    there, found = (
+        Dynamics(RobotDescription.load(urdf)).mass_matrix(["j1"], {})
+        for urdf in (arm(tool(inertial(0.5))), broken)
+    )
+    assert np.array_equal(there, found)
+
+
 def test_a_sound_robot_is_what_its_file_says_to_the_letter():
     assert RobotDescription.load(arm()).xml == arm()
 
