@@ -12,7 +12,7 @@ import pinocchio
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.units import Numbers
-from hpid_ros.robot.description import PAYLOAD_EDGE, RobotDescription
+from hpid_ros.robot.description import PAYLOAD_EDGE, RobotDescription, listed
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.mending import MOVING_TYPES
 
@@ -163,7 +163,11 @@ class Dynamics:
         """
         wanted = tuple(names)
         rows = self._rows(wanted)
-        mobility = np.diagonal(np.linalg.inv(self._mass(positions)))
+        mass = self._mass(positions)
+        try:
+            mobility = np.diagonal(np.linalg.inv(mass))
+        except np.linalg.LinAlgError:
+            raise self._massless(mass) from None
         return {name: float(1.0 / mobility[row]) for name, row in zip(wanted, rows, strict=True)}
 
     def inertia_range(
@@ -203,6 +207,16 @@ class Dynamics:
         mass = pinocchio.crba(self._model, self._data, self._configuration(positions))
         upper = np.triu(mass)
         return upper + np.triu(mass, 1).T
+
+    def _massless(self, mass: Numbers) -> RobotDescriptionError:
+        joints = self.description.joints
+        names = tuple(name for name in joints if not mass[self._velocity_index(name)].any())
+        what = f"{listed(names)} moves" if len(names) == 1 else "joints move"
+        what = f"{listed(names)} move" if len(names) > 1 else what
+        return RobotDescriptionError(
+            f"the mass matrix of {self.description.name!r} cannot be inverted: {what} nothing "
+            "that has mass: hold it (robot.held), or say what its link weighs (robot.links)"
+        )
 
     def _configuration(self, positions: Mapping[str, float]) -> Numbers:
         """Return Pinocchio's configuration; a continuous joint's is cosine and sine."""

@@ -243,6 +243,13 @@ def test_a_motor_of_nothing_is_refused_until_somebody_says_what_it_can_give(tmp_
     assert main(["gains", str(file), *RULE]) == 0
 
 
+def test_a_joint_that_moves_no_mass_is_named(tmp_path, capsys):
+    """Romeo's eyes: numpy's error of a singular matrix came out of `gains`."""
+    more = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="5" velocity="1"/>'
+    lines = refusals(tmp_path, capsys, arm(tool("", "revolute", more)), ["robot", "gains"])
+    assert all("tj moves nothing that has mass: hold it" in line for line in lines)
+
+
 # --- what an engine cannot hold
 
 

@@ -8,10 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich import box
 
-from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.base.files import refuse_output
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import load_robot, write_output
@@ -79,13 +77,7 @@ def _facts(robot: GivenRobot, poses: int) -> dict[str, dict[str, Any]]:
     joints = robot.description.joints
     dynamics = Dynamics(robot.description)
     start = robot.initial_positions
-    try:
-        inertias = dynamics.inertia_range(joints, poses, 1, start)
-    except np.linalg.LinAlgError:
-        raise RobotDescriptionError(
-            f"the mass matrix of {robot.description.name!r} cannot be inverted: a joint moves "
-            "nothing that has mass"
-        ) from None
+    inertias = dynamics.inertia_range(joints, poses, 1, start)
     gravity = dynamics.gravity_torques(joints, start)
     return {
         name: {
