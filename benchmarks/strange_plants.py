@@ -2,8 +2,9 @@
 
 One link on one motor, integrated here: friction that creeps, sticks, differs by direction or
 grows with the load, ripple, a flexible or loose transmission, a drive that saturates, is late or
-has few steps, coarse or noisy encoders, a link of another mass than its URDF says. The controller
-is the package's loop; all else is written for this purpose alone.
+has few steps, coarse or noisy encoders, velocities behind a driver's own filter, efforts that are
+stamped late, a recorder started while the joint held its load, a link of another mass than its
+URDF says. The controller is the package's loop; all else is written for this purpose alone.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -42,6 +44,11 @@ class Plant:
     counts: int = 2**16  # of the encoder, per turn, on the motor's side; 0 is none
     noise: float = 2e-5  # standard deviation of the measured position, in [rad]
     known_mass: float = 1.0  # what the URDF says, over the truth
+    velocity: str = ""  # how the driver filters the velocity that it reports; empty for none
+    velocity_time: float = 0.0  # time constant of that filter, or length of its mean, in [s]
+    velocity_noise: float = 0.0  # of a sensor of velocity; differences have that of positions
+    hold_time: float = 0.0  # for which the joint holds its load before the recorder starts, [s]
+    late_stamps: int = 0  # control periods by which efforts are stamped late
 
     @property
     def inertia(self) -> float:
@@ -59,6 +66,30 @@ class Plant:
 <limit lower="-3" upper="3" effort="{effort}" velocity="20"/></joint></robot>"""
 
 
+class VelocityReport:
+    """The velocity that a driver reports, from the positions that it measures."""
+
+    def __init__(self, plant: Plant, period: float) -> None:
+        self._kind, self._period = plant.velocity, period
+        poles = {"two poles": 2}.get(plant.velocity, 1)
+        self._share = 1.0 - math.exp(-period * poles / max(plant.velocity_time, 1e-9))
+        self._stages = [0.0] * poles
+        self._window = deque[float](maxlen=max(2, round(plant.velocity_time / period) + 1))
+
+    def update(self, position: float) -> float:
+        """Return the velocity after one more position."""
+        if not self._window:
+            self._window.append(position)
+        self._window.append(position)
+        if self._kind == "mean":
+            steps = [b - a for a, b in pairwise(self._window)]
+            return sum(steps) / len(steps) / self._period
+        value = (self._window[-1] - self._window[-2]) / self._period
+        for k, stage in enumerate(self._stages):
+            value = self._stages[k] = stage + self._share * (value - stage)
+        return value
+
+
 class Motion:
     """A plant that moves."""
 
@@ -69,15 +100,21 @@ class Motion:
         self._chance = np.random.default_rng(seed)
         self._under_way = deque([0.0] * plant.delay)
         self._torque = 0.0
+        self._report = VelocityReport(plant, period)
 
-    def read(self) -> float:
-        """Return the position as the encoder tells it, in [rad]."""
+    def read(self) -> tuple[float, float | None]:
+        """Return position and velocity as the driver reports them, in [rad] and [rad/s]."""
         plant = self._plant
         at = self._rotor + plant.noise * float(self._chance.standard_normal())
-        if not plant.counts:
-            return at
-        count = math.tau / plant.counts
-        return round(at / count) * count
+        if plant.counts:
+            count = math.tau / plant.counts
+            at = round(at / count) * count
+        if not plant.velocity:
+            return at, None
+        if plant.velocity_noise:  # a sensor of its own, behind the same filter
+            velocity = self._report.update(self._rotor)
+            return at, velocity + plant.velocity_noise * float(self._chance.standard_normal())
+        return at, self._report.update(at)
 
     def step(self, effort: float) -> None:
         """Move on by one control period under an effort, in [N m]."""
@@ -155,6 +192,20 @@ PLANTS = (
     replace(_PLAIN, kind="noisy encoder", counts=0, noise=2e-4),
     replace(_PLAIN, kind="heavier than said", known_mass=0.85),
     replace(_PLAIN, kind="hardly any friction", coulomb=0.02, viscous=0.02),
+    replace(_PLAIN, kind="filtered velocity", velocity="one pole", velocity_time=5e-3),
+    replace(_PLAIN, kind="slow velocity", velocity="one pole", velocity_time=15e-3),
+    replace(_PLAIN, kind="two-pole velocity", velocity="two poles", velocity_time=8e-3),
+    replace(_PLAIN, kind="mean velocity", velocity="mean", velocity_time=8e-3),
+    replace(
+        _PLAIN,
+        kind="velocity sensor",
+        velocity="one pole",
+        velocity_time=3e-3,
+        velocity_noise=0.01,
+    ),
+    replace(_PLAIN, kind="very coarse encoder", counts=2**10, noise=0.0),
+    replace(_PLAIN, kind="loaded at the start", hold_time=4.0),
+    replace(_PLAIN, kind="efforts stamped late", late_stamps=6),
 )
 
 
@@ -173,6 +224,7 @@ def drawn(seed: int) -> Plant:
         "limit": plant.limit * scale,
         "stiffness": plant.stiffness * scale,
         "effort_step": plant.effort_step * scale,
+        "velocity_time": plant.velocity_time * scale,
     }
     if plant.counts == _PLAIN.counts:
         changes["counts"] = 2 ** int(chance.integers(14, 21))

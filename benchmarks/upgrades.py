@@ -240,16 +240,17 @@ def _draw_strange(seed: int) -> Drawn:
         values | {f"gains.{name}": gain * inertia for name, gain in gains}
     )
     period = controller.timing.control_period
-    template, command = (
-        JointStateTemplate(["arm"], position=True),
-        JointStateTemplate(["arm"], effort=True),
-    )
+    template = JointStateTemplate(["arm"], position=True, velocity=bool(plant.velocity))
+    command = JointStateTemplate(["arm"], effort=True)
 
     def record(controllers: Sequence[LoopSettings], bag: Path, noise: int) -> None:
         loop, moving = (
             JointLoop(controllers[0]),
             strange_plants.Motion(plant, period, start, noise),
         )
+        begin, step_ns = round(plant.hold_time * 1e9), round(period * 1e9)
+        for stamp in range(0, begin, step_ns):  # it holds where it is
+            moving.step(loop.step(stamp, *moving.read()))
         loop.follow(trajectory.column("arm"))
         with BagWriter(bag, metadata={PARAMETERS: controllers_text(controllers)}) as writer:
             latched = TopicQos(transient_local=True, depth=1)
@@ -257,11 +258,13 @@ def _draw_strange(seed: int) -> Drawn:
             commands = writer.add_topic("/joint_commands", JOINT_STATE)
             states = writer.add_topic("/joint_states", JOINT_STATE)
             writer.write(reference, 1, encode_joint_trajectory(trajectory))
-            for stamp in range(0, round(_STOPS * _LEG * 1e9), round(period * 1e9)):
-                at = moving.read()
-                effort = loop.step(stamp, at)
-                writer.write(states, stamp + 1, template.encode(stamp, position=(at,)))
-                writer.write(commands, stamp + 1, command.encode(stamp, effort=(effort,)))
+            for stamp in range(begin, begin + round(_STOPS * _LEG * 1e9), step_ns):
+                at, velocity = moving.read()
+                effort = loop.step(stamp, at, velocity)
+                known = {} if velocity is None else {"velocity": (velocity,)}
+                late = stamp + plant.late_stamps * step_ns
+                writer.write(states, stamp + 1, template.encode(stamp, position=(at,), **known))
+                writer.write(commands, stamp + 1, command.encode(late, effort=(effort,)))
                 moving.step(effort)
 
     urdf = plant.urdf(limit)

@@ -134,6 +134,10 @@ class JointLoop:
         self._following.turn = turn_of_references(settings)
         self._following.encoder_turn = max(settings.encoder.wrap, 0.0)
 
+    def begin_with(self, integral: float) -> None:
+        """Begin with an integral term, as of a loop that ran before, in [N m]."""
+        self._law.restore_integral(integral)
+
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it again.
 

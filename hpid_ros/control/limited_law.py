@@ -79,12 +79,12 @@ class LimitedLaw:
             limits.braked = braked  # this is no sample
         self._adopt(settings, limits)
         self._law, integral = law, law.integral
-        self._restore_integral(integral)
+        self.restore_integral(integral)
         if effort != self.effort:
             self.override_effort(effort)
         return self.model_gain * (integral - law.integral)
 
-    def _restore_integral(self, integral: float) -> None:
+    def restore_integral(self, integral: float) -> None:
         """Replace the integral, in the law's own units, within its limits."""
         if self._has_integral:
             least, most = self._integral_clamp
@@ -148,7 +148,7 @@ class LimitedLaw:
                 integral -= acceleration
         law.reset()
         if self._has_integral:
-            self._restore_integral(integral)
+            self.restore_integral(integral)
         return gain * (integral - law.integral)
 
     def update(
@@ -201,6 +201,6 @@ class LimitedLaw:
         self.is_saturated = effort != wanted
         # In the law's own units: what is taken from the effort is taken from the law's output.
         integral = self._anti_windup(before, after, error, wanted / gain, effort / gain, dt)
-        self._restore_integral(integral)
+        self.restore_integral(integral)
         self.effort, self._is_external = effort, False
         return effort

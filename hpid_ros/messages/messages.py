@@ -5,8 +5,9 @@ For topics of a few messages; what comes a thousand times a second is read as co
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from hpid_ros.base.errors import BagError, MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.settings import LOOP_PARAMETERS
 from hpid_ros.messages.columns import JOINT_STATE
-from hpid_ros.messages.joint_state import JointReader
+from hpid_ros.messages.joint_state import JointReader, JointSample
 from hpid_ros.messages.reports import (
     ODOMETRY,
     POSES,
@@ -158,19 +159,32 @@ def odometry_topics(bag: Path) -> list[str]:
 
 def measures_velocity(path: Path, joint: str) -> bool:
     """Return whether the first state of a joint in a bag has a velocity."""
-    reader = JointReader(joint)
+    for _, sample in _joint_samples(path, [joint]):
+        return sample.velocity is not None
+    return False
+
+
+def read_velocities(path: Path, joints: Sequence[str]) -> dict[str, dict[int, float]]:
+    """Return the finite velocities of joints in a bag, in [rad/s], by the stamp of the state."""
+    found: dict[str, dict[int, float]] = {joint: {} for joint in joints}
+    for joint, sample in _joint_samples(path, joints):
+        if sample.velocity is not None and math.isfinite(sample.velocity):
+            found[joint][sample.stamp_ns] = sample.velocity
+    return found
+
+
+def _joint_samples(path: Path, joints: Sequence[str]) -> Iterator[tuple[str, JointSample]]:
+    readers = [JointReader(joint) for joint in joints]
     with Storage(path) as bag:
         types = {name: info.type for name, info in bag.topics().items()}
         states = choose_topics(f"bag {path}", types, BagSelection()).states
         for batch in bag.batches(frozenset(states)):
             for raw in batch.raws():
-                try:
-                    sample = reader.read(raw)
-                except MessageError:
-                    continue
-                if sample is not None:
-                    return sample.velocity is not None
-    return False
+                for reader in readers:
+                    with suppress(MessageError):
+                        sample = reader.read(raw)
+                        if sample is not None:
+                            yield reader.joint, sample
 
 
 TEXT = "std_msgs/msg/String"

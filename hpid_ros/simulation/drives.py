@@ -169,9 +169,9 @@ class Drive:
             self.friction += motor.coulomb_friction * abs(joint.gear_ratio)
         self.reset()
 
-    def reset(self) -> None:
-        """Forget the past: no effort is under way, and the bridge gives nothing."""
-        self._under_way = deque([0.0] * self.settings.delay)
+    def reset(self, effort: float = 0.0) -> None:
+        """Forget the past: one effort alone is under way, and the bridge gives nothing."""
+        self._under_way = deque([effort] * self.settings.delay)
         self._effort = 0.0
         self._cycle = -1
         self._duty = 0.0

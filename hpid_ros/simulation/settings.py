@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.records import Record, quantity
@@ -97,6 +98,30 @@ class Homing(Record):
 
 
 VELOCITIES = ("none", "differences")
+
+
+class VelocityFilter(NamedTuple):
+    """How a driver makes the velocity that it reports, one sample a control period.
+
+    v_k is the sum of ``forward[j] d[k-j]`` less that of ``back[j] v[k-1-j]``, with the differences
+    d of the positions over the period.
+    """
+
+    forward: tuple[float, ...] = (1.0,)
+    back: tuple[float, ...] = ()
+    # [rad/s] of a sensor of its own, whose differences are those of the true positions; None where
+    # they are those of the measured ones
+    noise: float | None = None
+
+    @property
+    def lag(self) -> float:
+        """Mean lag behind the differences, in samples."""
+        total = math.fsum(self.forward)
+        if total == 0.0:
+            return 0.0
+        ahead = math.fsum(k * each for k, each in enumerate(self.forward)) / total
+        rest = math.fsum(k * each for k, each in enumerate(self.back, 1))
+        return ahead - rest / (1.0 + math.fsum(self.back))
 
 
 @dataclass(frozen=True)
@@ -310,6 +335,9 @@ def require_engine(engine: str) -> None:
         raise SettingError(f"engine {engine} is not installed: pip install {engine}{others}")
 
 
+_MAY_BE_ABSENT = ("drives", "homing", "velocity_filters", "initial_efforts")
+
+
 @dataclass(frozen=True)
 class WorldSettings:
     """Settings of a :class:`~hpid_ros.simulation.world.World`."""
@@ -332,6 +360,8 @@ class WorldSettings:
     # the homing run of each joint, along joints, None where the position at the start is known
     homing: tuple[Homing | None, ...] = ()
     velocity: str = "none"  # where the measured velocities come from: none, there are none
+    velocity_filters: tuple[VelocityFilter, ...] = ()  # of each joint; none are bare differences
+    initial_efforts: tuple[float, ...] = ()  # [N m] under way at time 0; none are 0
     disturbances: Disturbances = field(default_factory=Disturbances)
     workplace: Workplace = field(default_factory=Workplace)
     base: DifferentialDrive | None = None  # the two driven joints that are the wheels of its base
@@ -347,7 +377,7 @@ class WorldSettings:
         require_mass("payload_mass", self.payload_mass)
         if not (math.isfinite(self.gravity) and self.gravity >= 0.0):
             raise SettingError(f"gravity {self.gravity!r} must be a finite number >= 0 [m/s^2]")
-        for name in ("encoder_counts", "position_noise", "drives", "homing"):
+        for name in ("encoder_counts", "position_noise", *_MAY_BE_ABSENT):
             self._require_along(name)
         if not all(math.isfinite(noise) and noise >= 0.0 for noise in self.position_noises):
             raise SettingError(
@@ -440,6 +470,6 @@ class WorldSettings:
     def _require_along(self, name: str) -> None:
         """Refuse a tuple that has not one entry for each driven joint; empty is none at all."""
         values = getattr(self, name)
-        is_absent = name in ("drives", "homing") and not values
+        is_absent = name in _MAY_BE_ABSENT and not values
         if isinstance(values, tuple) and not is_absent and len(values) != len(self.joints):
             raise SettingError(f"{name} has {len(values)} entries for {len(self.joints)} joints")

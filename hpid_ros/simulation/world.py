@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import random
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from operator import mul
 from types import TracebackType
 from typing import NamedTuple
 
@@ -19,6 +21,7 @@ from hpid_ros.simulation.physics import Physics, Pose, Twist, require_meshes
 from hpid_ros.simulation.settings import (
     Event,
     PayloadChange,
+    VelocityFilter,
     WorldSettings,
     require_engine,
     require_mass,
@@ -46,9 +49,9 @@ class Drivetrain:
         physics.set_damping([drive.damping for drive in self._drives])
         physics.brake([drive.friction for drive in self._drives])
 
-    def reset(self) -> None:
-        for drive in self._drives:
-            drive.reset()
+    def reset(self, efforts: Sequence[float]) -> None:
+        for drive, effort in zip(self._drives, efforts or [0.0] * len(self._drives), strict=True):
+            drive.reset(effort)
 
     def step(
         self, period: int, efforts: Sequence[float], advance: Callable[[Sequence[float]], None]
@@ -95,6 +98,12 @@ class Sensors:
         self._chances = [stream(settings.seed, "noise", joint) for joint in settings.joints]
         self._period = settings.control_period_ns * 1e-9
         self._has_differences = settings.velocity == "differences"
+        self._reports = [
+            VelocityReport(each, position, stream(settings.seed, "velocity", joint))
+            for each, position, joint in zip(
+                settings.velocity_filters, start, settings.joints, strict=False
+            )
+        ]
         self.offsets = [0.0] * len(settings.joints)
         """What the readings are wrong by since homing, in [rad]."""
         for index, homing in enumerate(settings.homing):
@@ -111,7 +120,12 @@ class Sensors:
     def sample(self, positions: Sequence[float]) -> None:
         """Measure once; called once a control period."""
         before, self.positions = self.positions, self._read(positions)
-        if self._has_differences:
+        if self._has_differences and self._reports:
+            each = zip(self._reports, self.positions, positions, strict=True)
+            self.velocities = tuple(
+                [report.update(seen, true, self._period) for report, seen, true in each]
+            )
+        elif self._has_differences:
             self.velocities = tuple(
                 [
                     (now - then) / self._period
@@ -129,6 +143,26 @@ class Sensors:
                 for encoder, position, noise, chance, off in each
             ]
         )
+
+
+class VelocityReport:
+    """A joint's velocity as its driver reports it: differences behind a filter of its own."""
+
+    def __init__(self, how: VelocityFilter, start: float, chance: random.Random) -> None:
+        self._how, self._chance, self._before = how, chance, start
+        self._inputs = deque([0.0] * len(how.forward), maxlen=len(how.forward))
+        self._outputs = deque([0.0] * len(how.back), maxlen=len(how.back))
+
+    def update(self, seen: float, true: float, period: float) -> float:
+        """Return the next velocity, in [rad/s], from a measured and a true position, in [rad]."""
+        how = self._how
+        position = true if how.noise is not None else seen
+        self._inputs.appendleft((position - self._before) / period)
+        self._before = position
+        value = sum(map(mul, how.forward, self._inputs))
+        value -= sum(map(mul, how.back, self._outputs))
+        self._outputs.appendleft(value)
+        return value + self._chance.gauss(0.0, how.noise) if how.noise else value
 
 
 def stream(seed: int, purpose: str, joint: str) -> random.Random:
@@ -355,7 +389,7 @@ class World:
         if settings.workplace.bricks:
             self.gripper = Gripper(self._physics, settings.workplace, settings.physics_period)
         if self._drivetrain is not None:
-            self._drivetrain.reset()
+            self._drivetrain.reset(settings.initial_efforts)
         is_bare = self.settings.has_bare_encoders
         self._sensors: Sensors | None = (
             None if is_bare else Sensors(self.settings, self.true_positions())

@@ -16,7 +16,7 @@ import numpy as np
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.messages.messages import measures_velocity, read_retunes
+from hpid_ros.messages.messages import measures_velocity, read_retunes, read_velocities
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import NO_EFFORT, JointSeries, RunSeries
@@ -29,6 +29,7 @@ from hpid_ros.robot.dynamics import inertia_ranges
 from hpid_ros.simulation.drives import LONGEST_DELAY
 from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.stability.margins import Case, FamilyMargins, Margins, loop_family, margins_of
+from hpid_ros.tuning.driver_velocity import DriverVelocity, driver_velocity
 from hpid_ros.tuning.identify import JointIdentification
 from hpid_ros.tuning.recorded_loops import recorded_controllers
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, OFFSET, STRIBECK, VISCOUS, Estimate
@@ -67,6 +68,11 @@ from hpid_ros.tuning.upgrade_prediction import (
 _WINDOW = 200  # samples
 _THIRD_DIFFERENCE = 20.0  # of white noise, over the variance of the noise itself: 1 + 9 + 9 + 1
 _BELOW_A_COUNT = 0.2  # of a count: less noise than that cannot be told from rounding
+_ROUNDED = math.sqrt(12.0)  # a step over the standard deviation of what rounding to it adds
+_AS_DIFFERENCES = (
+    "how the velocity that is reported comes about cannot be told: it is simulated as the "
+    "differences of the positions"
+)
 _MUCH = 0.05  # of the largest effort: a constant load that is worth a word
 
 
@@ -80,9 +86,12 @@ class RobotModel:
 
 
 def robot_model(
-    robot: GivenRobot, found: Sequence[JointIdentification], recorded: Sequence[JointSeries]
+    robot: GivenRobot,
+    found: Sequence[JointIdentification],
+    recorded: Sequence[JointSeries],
+    velocities: Mapping[str, Mapping[int, float]] = MappingProxyType({}),
 ) -> RobotModel:
-    """Return a robot with what was found of its joints.
+    """Return a robot with what was found of its joints, and of the velocities reported of them.
 
     Unreliable estimates are taken, too, where they can be true at all: together
     with the others they explain the recording, whichever share each of them has.
@@ -93,18 +102,36 @@ def robot_model(
         for each in found
         if each.is_found
     }
-    facts = {}
+    facts, assumptions = {}, dict[str, tuple[str, ...]]()
     for each in found:
         own = series[each.joint]
         resolution = position_resolution(own)
         noise = position_noise(own, resolution)
         facts[each.joint] = JointFacts(_delay(each, median_period(own)), noise, resolution)
+        assumptions[each.joint] = tuple(_assumptions(each, own))
+        if known := velocities.get(each.joint):
+            report = reported_velocity(own, known, math.hypot(noise, resolution / _ROUNDED))
+            if report is not None:
+                facts[each.joint] = facts[each.joint]._replace(velocity=report.filter)
+                assumptions[each.joint] += (f"the velocity that is reported: {report.words}",)
+            else:
+                assumptions[each.joint] += (_AS_DIFFERENCES,)
     description = amended(robot.description, amendments, {}, {})
     return RobotModel(
         replace(robot, source=description.xml, description=description),
         facts,
-        {each.joint: tuple(_assumptions(each, series[each.joint])) for each in found},
+        assumptions,
     )
+
+
+def reported_velocity(
+    series: JointSeries, velocities: Mapping[int, float], noise: float
+) -> DriverVelocity | None:
+    """Return how a driver makes the velocities of a joint; None where nothing can be said."""
+    stamps = series.state_stamps_ns.tolist()
+    has_one = np.array([stamp in velocities for stamp in stamps])
+    told = np.array([velocities[stamp] for stamp in stamps if stamp in velocities])
+    return driver_velocity(series.time[has_one], series.position[has_one], told, noise)
 
 
 def position_noise(series: JointSeries, resolution: float) -> float:
@@ -219,14 +246,11 @@ def upgrade_from_bag(
     robot = as_recorded(robot, recording.joints)
     phase("identifying the joints")
     found = identify_robot(recording, robot, robot_name=urdf, bag_name=str(bag), base=base)
-    model = robot_model(robot, found.joints, recording.joints)
-    inertias = _inertias(model, payload, loops, recording.joints)
     has_velocities = measures_velocity(bag, loops[0].joint)
-    if has_velocities and any(each.velocity.is_measured for each in loops):
-        warnings.append(
-            "velocities are those that the robot measured: they are simulated as differences of "
-            "its positions, whose noise may be another"
-        )
+    own = [each.joint for each in loops if has_velocities and each.velocity.is_measured]
+    velocities = read_velocities(bag, own) if own else {}
+    model = robot_model(robot, found.joints, recording.joints, velocities)
+    inertias = _inertias(model, payload, loops, recording.joints)
     limits = effort_limits(robot.description)  # what a recording shows may be a load's
     upgraded = BagUpgrade(
         bag,
@@ -345,11 +369,15 @@ def pid_margins(
     """Return the worst margins of a PID on the joint as it was identified, or why it has none."""
     joint = settings.joint
     damping = model.robot.description.joints[joint].damping
-    delay = model.facts[joint].delay if joint in model.facts else 0
+    facts = model.facts.get(joint, JointFacts())
+    delay, lag = facts.delay, facts.velocity.lag * period
     try:
         settings = settings.with_parameters({"control_period": period})
         if settings.velocity.is_measured and not has_velocities:
             settings = settings.with_parameters({"velocity_source": "filtered"})
+        elif settings.velocity.is_measured and lag > 0.0:  # as the driver filters it
+            known = {"velocity_source": "filtered", "velocity_filter_time_constant": lag}
+            settings = settings.with_parameters(known)
         family = loop_family(settings, inertia_of(settings, inertia), damping, delay * period)
         ends = [Case(each, 1.0, margins_of(family.loop(each))) for each in family.inertia]
     except HpidError as error:

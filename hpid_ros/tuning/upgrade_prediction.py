@@ -33,7 +33,7 @@ from hpid_ros.motion.joint_trajectory import Column, Knot
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.engine import record_run
-from hpid_ros.simulation.settings import WorldSettings, default_engine
+from hpid_ros.simulation.settings import VelocityFilter, WorldSettings, default_engine
 from hpid_ros.simulation.world import World
 from hpid_ros.tuning.recorded_loops import recorded_controllers
 
@@ -41,6 +41,7 @@ _STEP_DURATION = 3.0  # [s]
 _JUMP = 10.0  # times as far as from one sample to the next before and after
 _LEAST_JUMP = 1e-6  # [rad]
 _BEYOND_NS = 1_000_000
+_FIRST = 8  # samples of a recording that tell the integral with which it begins
 _LONGEST_GAP = 1.0
 """Between two recorded states, in [s]: beyond it the motion between them is anybody's guess."""
 PHYSICS_STEPS = 2
@@ -53,6 +54,7 @@ class JointFacts(NamedTuple):
     delay: int = 0  # by which its efforts act late, in control periods
     noise: float = 0.0  # [rad] standard deviation of what is added to its position
     resolution: float | None = None  # [rad] smallest step of its measured position
+    velocity: VelocityFilter = VelocityFilter()  # how its driver reports velocities, if it does
 
 
 def simulate(
@@ -91,6 +93,8 @@ def simulate(
         physics_steps=PHYSICS_STEPS,
         position_noise=tuple(each.noise for each in known),
         drives=tuple(DriveSettings(delay=each.delay) for each in known),
+        velocity_filters=tuple(each.velocity for each in known),
+        initial_efforts=tuple(_first_effort(series.get(joint)) for joint in joints),
         velocity="differences" if has_velocities else "none",
         engine=engine or default_engine(),
     )
@@ -100,9 +104,45 @@ def simulate(
     }
     duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
     periods = math.floor(duration * NANOSECONDS / period_ns)
-    work = partial(_run, world=world, motions=motions, periods=periods)
+    begun = {name: each for name, each in series.items() if each.has_effort}
+    integrals = {each.joint: initial_integral(each, begun.get(each.joint)) for each in first}
+    work = partial(_run, world=world, motions=motions, integrals=integrals, periods=periods)
     found = dict(side_by_side(work, list(loops.items()), name=itemgetter(0)))
     return [found[place] for place in range(len(loops))]
+
+
+def _first_effort(series: JointSeries | None) -> float:
+    return float(series.effort[0]) if series is not None and series.has_effort else 0.0
+
+
+def initial_integral(settings: LoopSettings, series: JointSeries | None) -> float:
+    """Return the integral term with which a recording begins, in [N m], under its PID.
+
+    That is what the first efforts have beside p e + d de: 0 where the controller began with them,
+    the load where it had held the joint before. Nobody knows what a model added.
+    """
+    if series is None or settings.gains.i == 0.0 or settings.model.is_on:
+        return 0.0
+    count = min(_FIRST, len(series.position))
+    aim = series.reference[:count] if series.has_reference else series.position[:1]
+    time, error = series.time[:count], aim - series.position[:count]
+    rate = float(np.polyfit(time, error, 1)[0]) if count > 2 and not _jumps(error) else 0.0
+    begin = series.command_stamps_ns.searchsorted(series.state_stamps_ns[0])
+    efforts = series.effort[begin : begin + count]
+    if not len(efforts):
+        return 0.0
+    gains = settings.gains
+    rest = efforts[:1] - gains.p * error[:1]
+    if not _jumps(error):
+        rest = efforts[: len(error)] - gains.p * error[: len(efforts)]
+    integral = float(np.median(rest)) - gains.d * rate
+    return min(max(integral, settings.integral.i_clamp_min), settings.integral.i_clamp_max)
+
+
+def _jumps(error: Numbers) -> bool:
+    """Return whether a reference jumps within the first samples: the first alone tells then."""
+    steps = np.abs(np.diff(error))
+    return bool(len(steps)) and float(steps.max()) > _JUMP * float(np.median(steps)) + _LEAST_JUMP
 
 
 def _require_one_motion(series: JointSeries) -> None:
@@ -122,12 +162,14 @@ def _run(
     task: tuple[str, Sequence[LoopSettings]],
     world: WorldSettings,
     motions: Mapping[str, Column],
+    integrals: Mapping[str, float],
     periods: int,
 ) -> RunSeries:
     label, settings = task
     loops = [JointLoop(each) for each in settings]
     for loop in loops:
         motion: Motion = motions[loop.settings.joint]
+        loop.begin_with(integrals[loop.settings.joint])
         loop.follow(motion)
     with World(world) as robot:
         models = compensators(settings, str(world.robot_description))

@@ -223,7 +223,7 @@ def test_noise_that_a_controller_feeds_back_does_not_bias_viscous_friction_and_d
     aim, moving = column.start(0, places[0]), MovingPlant(plant, 1e-3, places[0], 1)
     rows = []
     for stamp in range(0, 8_000_000_000, 1_000_000):
-        position = moving.read()
+        position, _ = moving.read()
         effort = loop.step(stamp, position)
         rows.append((stamp * 1e-9, position, effort, aim.sample(stamp).position))
         moving.step(effort)
