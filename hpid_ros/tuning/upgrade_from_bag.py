@@ -21,7 +21,7 @@ from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import NO_EFFORT, JointSeries, RunSeries
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.quantities import INDICES, IVC
+from hpid_ros.metrics.quantities import INDICES, IVC, Quantity
 from hpid_ros.metrics.results import RunIndices, run_indices
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot
@@ -32,6 +32,7 @@ from hpid_ros.stability.margins import Case, FamilyMargins, Margins, loop_family
 from hpid_ros.tuning.driver_velocity import DriverVelocity, driver_velocity
 from hpid_ros.tuning.identify import JointIdentification
 from hpid_ros.tuning.recorded_loops import recorded_controllers
+from hpid_ros.tuning.recorded_pid import RecordedAnswers, recorded_answers
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, OFFSET, STRIBECK, VISCOUS, Estimate
 from hpid_ros.tuning.robot_identification import (
     BaseMotion,
@@ -90,8 +91,11 @@ def robot_model(
     found: Sequence[JointIdentification],
     recorded: Sequence[JointSeries],
     velocities: Mapping[str, Mapping[int, float]] = MappingProxyType({}),
+    answers: Mapping[str, RecordedAnswers] = MappingProxyType({}),
 ) -> RobotModel:
-    """Return a robot with what was found of its joints, and of the velocities reported of them.
+    """Return a robot with what was found of its joints, and of their controllers.
+
+    ``velocities`` [rad/s] are those that are reported, by joint and stamp.
 
     Unreliable estimates are taken, too, where they can be true at all: together
     with the others they explain the recording, whichever share each of them has.
@@ -107,8 +111,10 @@ def robot_model(
         own = series[each.joint]
         resolution = position_resolution(own)
         noise = position_noise(own, resolution)
-        facts[each.joint] = JointFacts(_delay(each, median_period(own)), noise, resolution)
-        assumptions[each.joint] = tuple(_assumptions(each, own))
+        integral, late = answers.get(each.joint, RecordedAnswers())
+        delay = _delay(each, median_period(own), late)
+        facts[each.joint] = JointFacts(delay, noise, resolution, integral=integral)
+        assumptions[each.joint] = tuple(_assumptions(each, own, late))
         if known := velocities.get(each.joint):
             report = reported_velocity(own, known, math.hypot(noise, resolution / _ROUNDED))
             if report is not None:
@@ -168,22 +174,22 @@ def _possible(estimate: Estimate | None) -> float | None:
     return max(estimate.value, 0.0)
 
 
-def _delay(found: JointIdentification, period: float) -> int:
-    """Return the delay in control periods.
+def _delay(found: JointIdentification, period: float, late: float) -> int:
+    """Return the delay from a state to what answers it, in control periods.
 
     A simulated position is half a physics step ahead of time, by semi-implicit integration.
     """
     estimate = found.estimates.get(DELAY)
     if estimate is None or period <= 0.0:
         return 0
-    periods = estimate.value / period + 0.5 / PHYSICS_STEPS
+    periods = (estimate.value + late) / period + 0.5 / PHYSICS_STEPS
     return min(max(round(periods), 0), LONGEST_DELAY)
 
 
 _WORDS = {INERTIA: "rotor", VISCOUS: "viscous friction", COULOMB: "Coulomb friction"}
 
 
-def _assumptions(found: JointIdentification, series: JointSeries) -> Iterator[str]:
+def _assumptions(found: JointIdentification, series: JointSeries, late: float) -> Iterator[str]:
     if not found.is_found:
         reason = found.unreliable.get(found.joint, "nothing was found")
         yield f"its rotor and friction are those of the robot's description: {reason}"
@@ -194,6 +200,13 @@ def _assumptions(found: JointIdentification, series: JointSeries) -> Iterator[st
             yield f"{words}: as the robot's description says"
         elif not estimate.is_reliable:
             yield f"{words} {max(estimate.value, 0.0):.3g} is a guess: {estimate.reason}"
+    if late:
+        yield (
+            f"its efforts are stamped {late * 1e3:.3g} ms after the states that they answer, "
+            "as the PID answers them: what acts is that much later than the delay"
+        )
+    elif (delay := found.estimates.get(DELAY)) is not None and delay.high < 0.0 and delay.reason:
+        yield f"the delay is a guess, none: {delay.reason}"
     offset, largest = found.reliable(OFFSET), float(np.max(np.abs(series.effort), initial=0.0))
     if offset is not None and abs(offset.value) > _MUCH * largest:
         load = f"a constant load of {offset.value:.3g} N m"
@@ -220,6 +233,8 @@ _NEAR = 0.03  # of the variation of an effort: the noise is left as it is
 _CLOSE_ENOUGH = 0.1  # of it: a noise that does not bring it as close explains nothing
 _NOISE_TRIALS = 6
 _WINDOWS, _QUIET = 60, 0.7
+_FAR_OFF = math.log(1.1)  # of an index: a run that is no further off is the recorded one
+_SHORTER = (0.5, 1.0, 1.5)  # half-widths of a delay's interval; at the end it may be a bit off
 _MOST_COUNTS = 0.5  # of noise: more would be seen in the position
 _MOST_TIMES = 2.0  # what the position shows
 
@@ -249,7 +264,12 @@ def upgrade_from_bag(
     has_velocities = measures_velocity(bag, loops[0].joint)
     own = [each.joint for each in loops if has_velocities and each.velocity.is_measured]
     velocities = read_velocities(bag, own) if own else {}
-    model = robot_model(robot, found.joints, recording.joints, velocities)
+    series = {each.joint: each for each in recording.joints}
+    answers = {
+        each.joint: recorded_answers(each, series[each.joint], velocities.get(each.joint, {}))
+        for each in loops
+    }
+    model = robot_model(robot, found.joints, recording.joints, velocities, answers)
     inertias = _inertias(model, payload, loops, recording.joints)
     limits = effort_limits(robot.description)  # what a recording shows may be a load's
     upgraded = BagUpgrade(
@@ -505,12 +525,15 @@ class BagUpgrade:
         By how far the simulated PID is from the recorded one, also before noise was fitted.
         """
         plain, simulated, found = run_indices(self._plain), run_indices(self.before), {}
-        judged = [(plain, IVC), *((simulated, index) for index in JUDGED)]
         for name in (each.joint for each in self.loops):
-            ratios = [_ratio(run.value(x, name), self._target.value(x, name)) for run, x in judged]
-            misfits = [abs(math.log(x)) if 0.0 < x < math.inf else math.inf for x in ratios]
-            found[name] = _LEAST_DOUBT + _DOUBT_OF_MISFIT * max(misfits)
+            misfit = max(self._misfit(plain, name, (IVC,)), self._misfit(simulated, name, JUDGED))
+            found[name] = _LEAST_DOUBT + _DOUBT_OF_MISFIT * misfit
         return found
+
+    def _misfit(self, run: RunIndices, name: str, indices: Sequence[Quantity] = JUDGED) -> float:
+        """Return the largest logarithm by which a run misses a recorded index of a joint."""
+        ratios = [_ratio(run.value(x, name), self._target.value(x, name)) for x in indices]
+        return max(abs(math.log(x)) if 0.0 < x < math.inf else math.inf for x in ratios)
 
     def _doubt(self, goal: str, joint: str) -> float:
         """Return the doubt that a gain must exceed: of all joints where they count together."""
@@ -522,8 +545,39 @@ class BagUpgrade:
 
     @cached_property
     def _plain(self) -> RunSeries:
-        """The PID, simulated with the noise that the positions show; before noise is fitted."""
+        """The PID, simulated with the noise that the positions show; before noise is fitted.
+
+        A delay is known within an interval. Where the middle of it gives another run than the
+        recorded one, as an oscillation that was none, the delay that comes closer is taken.
+        """
+        plain = self._simulated(SIMULATED, self.loops)
+        least = {each.joint: self._misfit(run_indices(plain), each.joint) for each in self.loops}
+        shorter = {
+            name: [each for each in self._shorter_delays(name) if misfit > _FAR_OFF]
+            for name, misfit in least.items()
+        }
+        best: dict[str, JointFacts] = {}
+        for trial in range(max(map(len, shorter.values()))):
+            facts = {name: each[trial] for name, each in shorter.items() if trial < len(each)}
+            run = run_indices(self._simulated(SIMULATED, self.loops, facts))
+            for name, known in facts.items():
+                if (misfit := self._misfit(run, name)) < least[name]:
+                    least[name], best[name] = misfit, known
+        if not best:
+            return plain
+        self.model = replace(self.model, facts={**self.model.facts, **best})
         return self._simulated(SIMULATED, self.loops)
+
+    def _shorter_delays(self, name: str) -> list[JointFacts]:
+        """Return what is known of a joint with each shorter delay that its interval allows."""
+        facts, period = self.model.facts.get(name), median_period(self.recording.joints[0])
+        found = {each.joint: each for each in self.identification.joints}.get(name)
+        estimate = None if found is None else found.estimates.get(DELAY)
+        if facts is None or estimate is None or not math.isfinite(estimate.half_width):
+            return []
+        shares = (share * estimate.half_width / period for share in _SHORTER)
+        delays = dict.fromkeys(max(facts.delay - round(each), 0) for each in shares)
+        return [facts._replace(delay=each) for each in delays if each != facts.delay]
 
     @cached_property
     def before(self) -> RunSeries:

@@ -9,16 +9,15 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.files import load_json
 from hpid_ros.base.processes import side_by_side
-from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings import LoopSettings, NormSettings
@@ -36,12 +35,9 @@ from hpid_ros.simulation.engine import record_run
 from hpid_ros.simulation.settings import VelocityFilter, WorldSettings, default_engine
 from hpid_ros.simulation.world import World
 from hpid_ros.tuning.recorded_loops import recorded_controllers
+from hpid_ros.tuning.recorded_pid import recorded_answers, recorded_motion
 
 _STEP_DURATION = 3.0  # [s]
-_JUMP = 10.0  # times as far as from one sample to the next before and after
-_LEAST_JUMP = 1e-6  # [rad]
-_BEYOND_NS = 1_000_000
-_FIRST = 8  # samples of a recording that tell the integral with which it begins
 _LONGEST_GAP = 1.0
 """Between two recorded states, in [s]: beyond it the motion between them is anybody's guess."""
 PHYSICS_STEPS = 2
@@ -55,6 +51,7 @@ class JointFacts(NamedTuple):
     noise: float = 0.0  # [rad] standard deviation of what is added to its position
     resolution: float | None = None  # [rad] smallest step of its measured position
     velocity: VelocityFilter = VelocityFilter()  # how its driver reports velocities, if it does
+    integral: float | None = None  # [N m] with which its PID began; None to look for it
 
 
 def simulate(
@@ -104,8 +101,10 @@ def simulate(
     }
     duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
     periods = math.floor(duration * NANOSECONDS / period_ns)
-    begun = {name: each for name, each in series.items() if each.has_effort}
-    integrals = {each.joint: initial_integral(each, begun.get(each.joint)) for each in first}
+    integrals = {
+        each.joint: _integral(each, known_one, series.get(each.joint))
+        for each, known_one in zip(first, known, strict=True)
+    }
     work = partial(_run, world=world, motions=motions, integrals=integrals, periods=periods)
     found = dict(side_by_side(work, list(loops.items()), name=itemgetter(0)))
     return [found[place] for place in range(len(loops))]
@@ -115,34 +114,10 @@ def _first_effort(series: JointSeries | None) -> float:
     return float(series.effort[0]) if series is not None and series.has_effort else 0.0
 
 
-def initial_integral(settings: LoopSettings, series: JointSeries | None) -> float:
-    """Return the integral term with which a recording begins, in [N m], under its PID.
-
-    That is what the first efforts have beside p e + d de: 0 where the controller began with them,
-    the load where it had held the joint before. Nobody knows what a model added.
-    """
-    if series is None or settings.gains.i == 0.0 or settings.model.is_on:
-        return 0.0
-    count = min(_FIRST, len(series.position))
-    aim = series.reference[:count] if series.has_reference else series.position[:1]
-    time, error = series.time[:count], aim - series.position[:count]
-    rate = float(np.polyfit(time, error, 1)[0]) if count > 2 and not _jumps(error) else 0.0
-    begin = series.command_stamps_ns.searchsorted(series.state_stamps_ns[0])
-    efforts = series.effort[begin : begin + count]
-    if not len(efforts):
-        return 0.0
-    gains = settings.gains
-    rest = efforts[:1] - gains.p * error[:1]
-    if not _jumps(error):
-        rest = efforts[: len(error)] - gains.p * error[: len(efforts)]
-    integral = float(np.median(rest)) - gains.d * rate
-    return min(max(integral, settings.integral.i_clamp_min), settings.integral.i_clamp_max)
-
-
-def _jumps(error: Numbers) -> bool:
-    """Return whether a reference jumps within the first samples: the first alone tells then."""
-    steps = np.abs(np.diff(error))
-    return bool(len(steps)) and float(steps.max()) > _JUMP * float(np.median(steps)) + _LEAST_JUMP
+def _integral(settings: LoopSettings, known: JointFacts, series: JointSeries | None) -> float:
+    if known.integral is not None or series is None:
+        return known.integral or 0.0
+    return recorded_answers(settings, series, {}).integral
 
 
 def _require_one_motion(series: JointSeries) -> None:
@@ -186,38 +161,6 @@ def _motion(settings: LoopSettings, series: JointSeries | None, start: float) ->
         return Column(settings.joint, (Knot(0, start),))
     stamps = series.state_stamps_ns - series.state_stamps_ns[0]
     return recorded_motion(settings.joint, stamps, series.reference)
-
-
-def recorded_motion(joint: str, times_ns: NDArray[np.int64], reference: Numbers) -> Column:
-    """Return what goes through the samples of a reference, smooth but where it jumps.
-
-    A jump is one nanosecond wide, as those of :func:`~hpid_ros.motion.generators.step` are: a
-    ramp from one sample to the next would have a velocity that nobody was asked to follow.
-    """
-    steps = np.abs(np.diff(reference))
-    near = np.maximum(np.append(steps[1:], 0.0), np.append(0.0, steps[:-1]))
-    jumps = np.flatnonzero(steps > np.maximum(_JUMP * near, _LEAST_JUMP)) + 1
-    knots: list[Knot] = []
-    for times, values in zip(np.split(times_ns, jumps), np.split(reference, jumps), strict=True):
-        if knots:
-            knots.append(_going_on(knots[-1], int(times[0]) - 1))
-        rates = _rates(times / NANOSECONDS, values)
-        knots += map(Knot, times.tolist(), values.tolist(), rates.tolist())
-    # What was recorded may end while it moves.
-    return Column(joint, (*knots, _going_on(knots[-1], knots[-1].time_ns + _BEYOND_NS)))
-
-
-def _going_on(knot: Knot, time_ns: int) -> Knot:
-    """Return where a reference is at a later time if its velocity stays what it is."""
-    way = (knot.velocity or 0.0) * (time_ns - knot.time_ns) / NANOSECONDS
-    return Knot(time_ns, knot.position + way, knot.velocity)
-
-
-def _rates(times: Numbers, values: Numbers) -> Numbers:
-    if len(values) < 2:
-        return np.zeros(len(values))
-    order: Literal[1, 2] = 2 if len(values) > 2 else 1
-    return np.asarray(np.gradient(values, times, edge_order=order))
 
 
 def _counts(settings: LoopSettings, known: JointFacts) -> int:
