@@ -20,6 +20,7 @@ from hpid_ros.tuning.regression import (
     COULOMB,
     DELAY,
     EFFORT_SCALE,
+    GIVE,
     GRAVITY_COS,
     GRAVITY_SIN,
     INERTIA,
@@ -67,6 +68,7 @@ class JointIdentification:
     speed: float = 0.0  # [rad/s] largest speed
     acceleration: float = 0.0  # [rad/s^2] largest acceleration
     effort_limit: float = math.inf  # [N m] largest that the drive gives; inf if not seen
+    is_rigid: bool = True  # whether nothing shows that the joint gives
     fit: Fit | None = None  # to draw
 
     @property
@@ -84,6 +86,16 @@ _ONE_WAY = 0.05  # of the rows: fewer are no motion in the other direction
 _STRIBECK_SPEEDS = (0.05, 0.1, 0.2, 0.35)  # of the largest speed
 _CREEPING = 0.1  # of the rows
 _LEAST_EXPLAINED = 0.5
+_WELL_EXPLAINED = 0.9
+_SURELY = 1e-3  # chance of seeing a spring that is not there
+_GIVES = 0.008  # of the effort's standard deviation, by what a spring has the effort change
+_BETTER_WITH_SPRING = 0.9  # of the residual
+_OWN_LAG = 0.7  # of the lag that a drive would have whose low pass looks like a spring
+_RINGS = 0.1  # of the effort's standard deviation: what is less is no ringing that matters
+_RINGING, _LOUD = 0.35, 0.5  # share of the residual near one frequency, and over the effort there
+_LOWEST = 3.0  # [Hz] of what is called ringing: friction that is none of the model's is slower
+_NEAR_PEAK, _SMOOTHED = 1.25, 9  # width of a peak, as a ratio; lines over which it is sought
+_AHEAD = 1.0  # periods by which sampling alone may have an effort ahead of its cause
 _FELT = 0.01  # of the effort's standard deviation
 _SHARED = 100.0
 _MOST_SPIN = 2.0  # of what the gears' ratios say; more is something else
@@ -112,6 +124,7 @@ _ALIKE = {
     EFFORT_SCALE: "the effort's scale",
     DELAY: "the delay",
     SPIN: "the rotors' spin",
+    GIVE: "a spring",
 }
 _HELP = {
     INERTIA: "reverse faster: a sine of 1 to 3 Hz, or a multisine",
@@ -136,6 +149,7 @@ def nothing(record: JointRecord, reason: str) -> JointIdentification:
 def findings(equation: Equation, has_scale: bool) -> JointIdentification:
     """Return what an equation says of its joint."""
     choice, rows = _chosen(equation, has_scale), equation.rows
+    choice, not_rigid = _with_give(equation, choice)
     joint = rows.record.joint
     used = equation.weight > 0.0
     position, velocity, acceleration = equation.halves.mean(axis=0)
@@ -146,7 +160,8 @@ def findings(equation: Equation, has_scale: bool) -> JointIdentification:
         joint,
         method="instrumental variables",
         why=_why(equation, choice),
-        remarks=_remarks(choice),
+        remarks=(*_remarks(choice), *([not_rigid] if not_rigid else [])),
+        is_rigid=not not_rigid,
         cutoff=rows.kernel.cutoff,
         rows=equation.used_rows,
         time=equation.used_rows * float(np.median(np.diff(rows.times))),
@@ -167,6 +182,16 @@ def findings(equation: Equation, has_scale: bool) -> JointIdentification:
         )
         return replace(facts, unreliable={joint: reason})
     estimates = _estimates(equation, choice)
+    if explained < _WELL_EXPLAINED:
+        not_rigid = not_rigid or (
+            f"its motion explains only {explained:.0%} of its efforts: the intervals are of "
+            "noise, not of what the model lacks"
+        )
+    if not_rigid:
+        estimates = {
+            name: replace(each, reason=each.reason or not_rigid)
+            for name, each in estimates.items()
+        }
     scale = estimates.get(EFFORT_SCALE)
     if scale is not None and scale.is_reliable and scale.high < 0.0:
         facts = replace(facts, remarks=(*facts.remarks, _REVERSED))
@@ -230,6 +255,58 @@ def _with_spin(equation: Equation, plain: Solution) -> Solution:
     return choice if is_likely and choice.probability_of_none(SPIN) < _CHANCE else plain
 
 
+def _with_give(equation: Equation, plain: Solution) -> tuple[Solution, str]:
+    r"""Add a spring between motor and load if the data show one; return why the joint gives.
+
+    With inertias :math:`J_m` and :math:`J_l` on a stiffness k the effort is, up to the square of
+    the frequency, :math:`J \ddot q - (J_l^2 / k J) \ddot \tau`. A drive's low pass has such a
+    term, too, but a delay with it. Near the resonance it is more, and the residual rings.
+    """
+    used = equation.weight > 0.0
+    effort, _, curvature = equation.rows.effort(plain.delay, equation.limit)
+    level = max(float(np.std(effort[used])), 1e-300)
+    model = plain.model._replace(has_scale=equation.rigid is not None)
+    free = equation.solve(model, plain.delay) if model.has_scale else plain
+    given = equation.solve(model._replace(has_give=True), free.delay)
+    factor = given.value(GIVE)
+    is_felt = -factor * float(np.std(curvature[used])) > _GIVES * level
+    is_better = given.fit.rms < _BETTER_WITH_SPRING * free.fit.rms
+    if is_felt and is_better and given.probability_of_none(GIVE) < _SURELY:
+        slow = math.sqrt(-2.0 * factor)  # the lag of a drive that looks like this
+        if given.delay < _OWN_LAG * slow:
+            found = equation.solve(plain.model._replace(has_give=True), plain.delay)
+            frequency = 1.0 / (math.tau * math.sqrt(-factor))
+            return found, (
+                "the joint is not one rigid mass: it gives like a spring with a load that swings "
+                f"at {frequency:.2g} Hz or less (flexible, or coupled to others)"
+            )
+    rings = _ringing(equation, plain, level)
+    if rings:
+        return plain, (
+            f"the residual rings at {rings:.2g} Hz: the joint is not one rigid mass (flexible, "
+            "loose, or coupled to others)"
+        )
+    return plain, ""
+
+
+def _ringing(equation: Equation, choice: Solution, level: float) -> float:
+    """Return the frequency at which the residual rings, in [Hz]; 0 where it does not."""
+    if choice.fit.rms < _RINGS * level:
+        return 0.0
+    residual = choice.fit.residual
+    taper = np.hanning(len(residual))
+    power, whole = (
+        np.abs(np.fft.rfft(each * taper)) ** 2
+        for each in (residual, equation.effort(choice.delay))
+    )
+    frequency = np.fft.rfftfreq(len(residual), float(np.median(np.diff(equation.rows.times))))
+    peak = float(frequency[np.argmax(np.convolve(power, np.ones(_SMOOTHED), "same"))])
+    near = (frequency > peak / _NEAR_PEAK) & (frequency < peak * _NEAR_PEAK)
+    there = float(power[near].sum())
+    is_peak = there > _RINGING * float(power.sum()) and there > _LOUD * float(whole[near].sum())
+    return peak if is_peak and peak > _LOWEST else 0.0
+
+
 def _remarks(choice: Solution) -> tuple[str, ...]:
     if not choice.model.has_spin:
         return ()
@@ -258,7 +335,9 @@ def _with_stribeck(equation: Equation, plain: Solution) -> Solution:
 
 def _estimates(equation: Equation, choice: Solution) -> dict[str, Estimate]:
     found = {
-        name: _estimate(equation, choice, name) for name in choice.model.names if name != SPIN
+        name: _estimate(equation, choice, name)
+        for name in choice.model.names
+        if name not in (SPIN, GIVE)
     }
     if choice.model.has_scale:
         found = _scaled(found)
@@ -313,6 +392,11 @@ def _doubt(equation: Equation, choice: Solution, name: str, value: float, width:
     if not np.isfinite(width):
         return f"nothing can be said of its interval: {_HELP[name]}"
     if name == DELAY:
+        if value + width < -_AHEAD * equation.rows.record.period:
+            return (
+                f"{value * 1e3:.3g} ms cannot be, nothing moves before its cause: efforts are "
+                "stamped late or filtered, or positions are stamped early"
+            )
         if not equation.is_inside(value):
             return f"the best is at the end of what was looked through, {value * 1e3:.3g} ms"
         if width < equation.resolution:
@@ -402,6 +486,9 @@ _NOISE = 1e-3  # of the acceleration's variance
 _LEAST_ROWS = 40
 _BIN = 1.0  # [s]
 _BUSY = 0.1  # of what the joint in question travels
+_JITTER = 10.0  # standard deviations of a position's noise, which is no motion
+_THIRD_DIFFERENCE = 20.0  # of white noise, over the variance of the noise itself
+_FEW = 5
 _TOGETHER = 0.1  # of the time in which it moves
 _STILL = 0.02  # of the joint that moves most
 _TOO_SLOW = "its direction is hardly ever known: it should move faster, or reverse less often"
@@ -443,7 +530,9 @@ def identify(
     alone = []
     for each in (records[k] for k in places):
         own = _equation([each], 0, None, how, moving, _others_turn(each, records))
-        alone.append(replace(_found(each, own, how), remarks=_company(each, records)))
+        result = _found(each, own, how)
+        company = _company(each, records) if result.is_found else ()
+        alone.append(replace(result, remarks=(*result.remarks, *company)))
     return tuple(alone)
 
 
@@ -522,7 +611,14 @@ def _is_busy(record: JointRecord, edges: Numbers, travel: float) -> NDArray[np.b
     begins, ends = (np.searchsorted(record.time, each) for each in (edges, edges + _BIN))
     pieces = [record.position[a:b] for a, b in zip(begins, ends, strict=True)]
     moved = np.array([float(np.ptp(each)) if len(each) else 0.0 for each in pieces])
-    return np.asarray(moved > _BUSY * travel)
+    return np.asarray(moved > max(_BUSY * travel, _JITTER * _jitter(record.position)))
+
+
+def _jitter(position: Numbers) -> float:
+    """Return the standard deviation of what third differences say is noise; steps count, too."""
+    if len(position) < _FEW:
+        return 0.0
+    return math.sqrt(float(np.var(np.diff(position, 3))) / _THIRD_DIFFERENCE)
 
 
 def _equation(

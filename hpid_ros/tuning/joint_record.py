@@ -330,13 +330,15 @@ class Rows:
         return _joined([grid.times for grid, _ in self._spans])
 
     def effort(self, delay: float, limit: float) -> Numbers:
-        """Return the smoothed effort and its rate, (2, R), if it acts with a delay."""
+        """Return the smoothed effort and two derivatives, (3, R), if it acts with a delay."""
         impulse = self.record.impulse(limit)
         parts = []
         for grid, cells in self._spans:
             edges = grid.edges(cells[0].means.shape[1])
             means = np.diff(impulse(edges - delay)) / grid.length
-            parts.append(np.stack([grid.smoothed(means, self.kernel, order) for order in (0, 1)]))
+            parts.append(
+                np.stack([grid.smoothed(means, self.kernel, order) for order in DERIVATIVES])
+            )
         return _joined(parts)
 
     @cached_property

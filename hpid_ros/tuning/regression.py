@@ -44,6 +44,8 @@ GRAVITY_SIN = "gravity_sin"
 GRAVITY_COS = "gravity_cos"
 EFFORT_SCALE = "effort_scale"
 DELAY = "delay"
+GIVE = "give"
+"""No parameter either: by how much the joint gives, a factor of the effort's second derivative."""
 SPIN = "spin"
 """No parameter: how much there is of the effort that rotors need besides their inertia."""
 
@@ -174,7 +176,8 @@ _STEPS_PER_PERIOD = 8.0  # of the cut-off frequency, in the coarse search
 _NEWTON_STEPS = 6
 _SETTLED = 1e-9  # [s]
 _PERIODS_AHEAD = 3.0
-"""A measured effort may be behind the motion by its sampling; it is never far behind."""
+"""A measured effort may be behind the motion by its sampling."""
+_SHARE_AHEAD = 0.3  # of the longest delay: efforts may be stamped late, or be filtered
 
 
 RigidBody = Callable[[Numbers, Numbers, Numbers], Numbers]
@@ -191,6 +194,7 @@ class Model(NamedTuple):
     has_scale: bool = False  # the rigid bodies' effort has a coefficient
     stribeck_speed: float = 0.0  # [rad/s] zero for none
     has_spin: bool = False  # the effort that rotors need besides their inertia has a coefficient
+    has_give: bool = False  # the joint is two masses, the one on a spring
 
     @property
     def names(self) -> list[str]:
@@ -204,6 +208,7 @@ class Model(NamedTuple):
             OFFSET: True,
             EFFORT_SCALE: self.has_scale,
             SPIN: self.has_spin,
+            GIVE: self.has_give,
             DELAY: self.has_delay,
         }
         return [name for name, is_there in given.items() if is_there]
@@ -286,9 +291,14 @@ class Equation:
         return np.asarray(self.rows.effort(delay, self.limit)[0])
 
     def coarse_delay(self, model: Model) -> float:
-        """Return the delay with the least residual among evenly spaced ones, in [s]."""
+        """Return the delay with the least residual among evenly spaced ones, in [s].
+
+        Where the least of them is the best, efforts may be stamped late, and earlier ones are
+        looked through; but under feedback efforts follow the motion, too: what moves a negative
+        inertia is the controller.
+        """
         basis = model._replace(has_delay=False)
-        columns = self._columns(basis, np.zeros_like(self.weight)).mean(axis=0) * self.weight
+        columns = self._columns(basis, self._no_rates).mean(axis=0) * self.weight
         known = 0.0 if self.rigid is None or model.has_scale else self.rigid.mean(0)
         size = np.linalg.norm(columns, axis=1, keepdims=True)
         orthogonal, _ = np.linalg.qr((columns / np.maximum(size, 1e-300)).T)
@@ -298,8 +308,20 @@ class Equation:
             rest = target - orthogonal @ (orthogonal.T @ target)
             return float(rest @ rest)
 
-        grid = np.arange(self._least, self._longest + self._step, self._step)
-        return float(grid[int(np.argmin([left(float(each)) for each in grid]))])
+        def best(least: float) -> float:
+            grid = np.arange(least, self._longest + self._step, self._step)
+            return float(grid[int(np.argmin([left(float(each)) for each in grid]))])
+
+        found, usual = best(self._least), self._least
+        if found > usual:
+            return found
+        self._least = min(usual, -_SHARE_AHEAD * self._longest)
+        earlier = best(self._least)
+        solution = self.solve(model, earlier)
+        if solution.value(INERTIA) + solution.half_width(INERTIA) > 0.0:
+            return earlier
+        self._least = usual
+        return found
 
     def solve(self, model: Model, delay: float) -> Solution:
         """Fit a model, from a delay on."""
@@ -325,16 +347,17 @@ class Equation:
     def predicted(self, found: Solution) -> Numbers:
         """Return the effort that is predicted at the rows, (R,), in [N m]."""
         model = found.model
-        columns = self._columns(model, np.zeros_like(self.weight)).mean(axis=0)
+        rates = self.rows.effort(found.delay, self.limit)[1:] if model.has_give else self._no_rates
+        columns = self._columns(model, rates).mean(axis=0)
         known = 0.0 if self.rigid is None or model.has_scale else self.rigid.mean(0)
         return np.asarray(found.fit.values @ columns + known)
 
     def _fit(self, model: Model, delay: float) -> Regression:
-        effort, rate = self.rows.effort(delay, self.limit)
+        effort, *rates = self.rows.effort(delay, self.limit)
         target = np.stack([effort, effort])
         if self.rigid is not None and not model.has_scale:
             target = target - self.rigid
-        columns = self._columns(model, rate)
+        columns = self._columns(model, rates)
         instruments = self._instruments(model, columns.mean(axis=0))
         if instruments is None:
             return regress(columns[::-1], columns, target, self.weight)
@@ -343,7 +366,7 @@ class Equation:
 
     def uses_reference(self, model: Model, delay: float) -> bool:
         """Return whether the reference is the source of a model's instruments."""
-        columns = self._columns(model, self.rows.effort(delay, self.limit)[1])
+        columns = self._columns(model, self.rows.effort(delay, self.limit)[1:])
         return self._instruments(model, columns.mean(axis=0)) is not None
 
     def _instruments(self, model: Model, columns: Numbers) -> Numbers | None:
@@ -356,7 +379,9 @@ class Equation:
             return None
         instruments = columns.copy()
         # Others are as good as exact.
-        noisy = [k for k, name in enumerate(model.names) if name in (INERTIA, VISCOUS, DELAY)]
+        noisy = [
+            k for k, name in enumerate(model.names) if name in (INERTIA, VISCOUS, GIVE, DELAY)
+        ]
         for place in noisy:
             instruments[place] = self._of_reference(columns[place])
         if model.has_scale:
@@ -371,8 +396,12 @@ class Equation:
         """Return what a linear answer to the reference explains of a column, (R,)."""
         return np.asarray(column[self._there] @ self._answer @ self._basis)
 
-    def _columns(self, model: Model, rate: Numbers) -> Numbers:
-        """Return the columns of a model for either half, (2, P, R)."""
+    @property
+    def _no_rates(self) -> Numbers:
+        return np.zeros((2, len(self.weight)))
+
+    def _columns(self, model: Model, rates: Sequence[Numbers] | Numbers) -> Numbers:
+        """Return the columns of a model for either half, (2, P, R); with the effort's rates."""
         position, velocity, acceleration = np.moveaxis(self.halves, 1, 0)
         columns = [acceleration, velocity]
         if model.has_coulomb:
@@ -390,8 +419,10 @@ class Equation:
         if model.has_spin:
             assert self.spin is not None
             columns.append(_twice(self.spin))
+        if model.has_give:
+            columns.append(_twice(rates[1]))
         if model.has_delay:
-            columns.append(_twice(rate))
+            columns.append(_twice(rates[0]))
         return np.stack(columns, axis=1)
 
 

@@ -226,7 +226,9 @@ DEFAULT_GOAL = "balanced"
 
 _ENGINE = "mujoco"  # its joints have armatures: a rotor is simulated as it was identified
 
-_LEAST_DOUBT, _DOUBT_OF_MISFIT = 0.04, 0.55
+_DOUBT_OF_SPRING, _DOUBT_OF_CREEP = 0.5, 0.1
+"""Of the logarithm of a ratio, where the joint gives or friction grows when creeping."""
+_LEAST_DOUBT, _DOUBT_OF_MISFIT = 0.06, 0.55
 """Of the logarithm of a ratio, and of the largest logarithm by which a simulated PID misses an
 index: what the strange plants 16 to 47 need (``python -m benchmarks.upgrades strange``)."""
 _NEAR = 0.03  # of the variation of an effort: the noise is left as it is
@@ -527,8 +529,17 @@ class BagUpgrade:
         plain, simulated, found = run_indices(self._plain), run_indices(self.before), {}
         for name in (each.joint for each in self.loops):
             misfit = max(self._misfit(plain, name, (IVC,)), self._misfit(simulated, name, JUDGED))
-            found[name] = _LEAST_DOUBT + _DOUBT_OF_MISFIT * misfit
+            found[name] = _LEAST_DOUBT + _DOUBT_OF_MISFIT * misfit + self._lacking.get(name, 0.0)
         return found
+
+    @cached_property
+    def _lacking(self) -> dict[str, float]:
+        """What the simulation lacks of each joint, though it was seen, as a doubt."""
+        return {
+            each.joint: _DOUBT_OF_SPRING * (not each.is_rigid)
+            + _DOUBT_OF_CREEP * (each.reliable(STRIBECK) is not None)
+            for each in self.identification.joints
+        }
 
     def _misfit(self, run: RunIndices, name: str, indices: Sequence[Quantity] = JUDGED) -> float:
         """Return the largest logarithm by which a run misses a recorded index of a joint."""
