@@ -146,10 +146,13 @@ def nothing(record: JointRecord, reason: str) -> JointIdentification:
     return JointIdentification(record.joint, unreliable=unreliable, travel=record.travel)
 
 
-def findings(equation: Equation, has_scale: bool) -> JointIdentification:
-    """Return what an equation says of its joint."""
-    choice, rows = _chosen(equation, has_scale), equation.rows
-    choice, not_rigid = _with_give(equation, choice)
+def findings(
+    equation: Equation, choice: Solution, *, looks_for_spring: bool = True
+) -> JointIdentification:
+    """Return what an equation with its chosen terms says of its joint."""
+    rows, not_rigid = equation.rows, ""
+    if looks_for_spring:
+        choice, not_rigid = _with_give(equation, choice)
     joint = rows.record.joint
     used = equation.weight > 0.0
     position, velocity, acceleration = equation.halves.mean(axis=0)
@@ -182,7 +185,8 @@ def findings(equation: Equation, has_scale: bool) -> JointIdentification:
         )
         return replace(facts, unreliable={joint: reason})
     estimates = _estimates(equation, choice)
-    if explained < _WELL_EXPLAINED:
+    has_unit = all(each.reason != _NO_UNIT for each in estimates.values())
+    if explained < _WELL_EXPLAINED and has_unit:
         not_rigid = not_rigid or (
             f"its motion explains only {explained:.0%} of its efforts: the intervals are of "
             "noise, not of what the model lacks"
@@ -217,7 +221,7 @@ def _why(equation: Equation, choice: Solution) -> str:
     return f"noise {share:.1g} of the acceleration's variance, instruments: {used}"
 
 
-def _chosen(equation: Equation, has_scale: bool) -> Solution:
+def chosen(equation: Equation, has_scale: bool) -> Solution:
     """Choose the terms, one after the other, by whether the data carry them."""
     used = equation.weight > 0.0
     backward = float(np.mean(equation.sign[used] < 0.0))
@@ -269,9 +273,11 @@ def _with_give(equation: Equation, plain: Solution) -> tuple[Solution, str]:
     free = equation.solve(model, plain.delay) if model.has_scale else plain
     given = equation.solve(model._replace(has_give=True), free.delay)
     factor = given.value(GIVE)
+    # Measured efforts have noise, of which a second derivative has as much as a spring would.
+    is_exact = equation.rows.record.is_held or equation.uses_reference(given.model, given.delay)
     is_felt = -factor * float(np.std(curvature[used])) > _GIVES * level
     is_better = given.fit.rms < _BETTER_WITH_SPRING * free.fit.rms
-    if is_felt and is_better and given.probability_of_none(GIVE) < _SURELY:
+    if is_exact and is_felt and is_better and given.probability_of_none(GIVE) < _SURELY:
         slow = math.sqrt(-2.0 * factor)  # the lag of a drive that looks like this
         if given.delay < _OWN_LAG * slow:
             found = equation.solve(plain.model._replace(has_give=True), plain.delay)
@@ -523,37 +529,42 @@ def identify(
     moving = max((each.travel for each in counted if len(each.effort)), default=0.0)
     if rigid_body is not None:
         equations = {k: _equation(records, k, rigid_body, how, moving) for k in places}
-        found = {k: _found(records[k], each, how) for k, each in equations.items()}
+        choices = {
+            k: chosen(each, how.has_scale)
+            for k, each in equations.items()
+            if not isinstance(each, str)
+        }
         if spin is not None:
-            found |= _identified_with_spin(spin, equations, found, len(records), how)
-        return tuple(found.values())
+            choices |= _with_spinning_rotors(spin, equations, choices, len(records), how)
+        return tuple(
+            nothing(records[k], each) if isinstance(each, str) else findings(each, choices[k])
+            for k, each in equations.items()
+        )
     alone = []
     for each in (records[k] for k in places):
         own = _equation([each], 0, None, how, moving, _others_turn(each, records))
-        result = _found(each, own, how)
+        if isinstance(own, str):
+            alone.append(nothing(each, own))
+            continue
+        result = findings(own, chosen(own, how.has_scale))
         company = _company(each, records) if result.is_found else ()
         alone.append(replace(result, remarks=(*result.remarks, *company)))
     return tuple(alone)
 
 
-def _found(record: JointRecord, equation: Equation | str, how: Method) -> JointIdentification:
-    """Return what an equation says; nothing, with the reason, where there is none."""
-    if isinstance(equation, str):
-        return nothing(record, equation)
-    return findings(equation, how.has_scale)
-
-
-def _identified_with_spin(
+def _with_spinning_rotors(
     spin: Spin,
     equations: Mapping[int, Equation | str],
-    found: Mapping[int, JointIdentification],
+    choices: Mapping[int, Solution],
     count: int,
     how: Method,
-) -> dict[int, JointIdentification]:
-    """Identify joints once more where rotors that are known now may pull at them."""
+) -> dict[int, Solution]:
+    """Choose terms once more where rotors that are known now may pull at joints."""
     rotors = np.zeros(count)
-    for place, each in found.items():
-        estimate = each.reliable(INERTIA)
+    for place, choice in choices.items():
+        own = equations[place]
+        assert not isinstance(own, str)
+        estimate = findings(own, choice, looks_for_spring=False).reliable(INERTIA)
         rotors[place] = estimate.value if estimate is not None else 0.0
     again = {}
     for place, equation in equations.items():
@@ -563,7 +574,7 @@ def _identified_with_spin(
         efforts = spin(position, velocity, acceleration, rotors)[place]
         if efforts.any():
             equation.spin = efforts
-            again[place] = findings(equation, how.has_scale)
+            again[place] = chosen(equation, how.has_scale)
     return again
 
 
