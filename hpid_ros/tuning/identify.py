@@ -163,7 +163,7 @@ def findings(
         joint,
         method="instrumental variables",
         why=_why(equation, choice),
-        remarks=(*_remarks(choice), *([not_rigid] if not_rigid else [])),
+        remarks=_remarks(choice),
         is_rigid=not not_rigid,
         cutoff=rows.kernel.cutoff,
         rows=equation.used_rows,

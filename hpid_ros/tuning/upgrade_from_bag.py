@@ -226,6 +226,9 @@ DEFAULT_GOAL = "balanced"
 
 _ENGINE = "mujoco"  # its joints have armatures: a rotor is simulated as it was identified
 
+_DOUBT_OF_COURSE = 0.35
+"""Of the mean logarithm by which efforts vary more or less than recorded at the same times."""
+_HARDLY = 0.01  # of how much an effort varies on average: less is as good as nothing
 _DOUBT_OF_SPRING, _DOUBT_OF_CREEP = 0.5, 0.1
 """Of the logarithm of a ratio, where the joint gives or friction grows when creeping."""
 _LEAST_DOUBT, _DOUBT_OF_MISFIT = 0.06, 0.55
@@ -421,6 +424,22 @@ def _quiet_variation(series: JointSeries) -> float:
     return float(each[: round(_QUIET * _WINDOWS)].mean())
 
 
+def _unlike(one: JointSeries, other: JointSeries) -> float:
+    """Return the mean logarithm by which efforts vary more or less at the same times.
+
+    The noise is fitted to how much they vary in all, and may hide that the one rests, or rings,
+    where the other does not.
+    """
+    windows = (
+        np.array([part.sum() for part in np.array_split(np.abs(np.diff(each.effort)), _WINDOWS)])
+        for each in (one, other)
+    )
+    each = [window + _HARDLY * float(window.mean()) for window in windows]
+    if not all(window.all() for window in each):
+        return 0.0
+    return float(np.mean(np.abs(np.log(each[0] / each[1]))))
+
+
 class _NoiseSearch(NamedTuple):
     """The noise of one joint's position that makes its effort vary as recorded, bisected.
 
@@ -469,6 +488,8 @@ class BagUpgrade:
     certifying: Certifying
     proposals: Proposals = field(init=False)  # the PID where nothing is gained
     predicted: RunSeries = field(init=False)  # the proposal, simulated
+    # by how much the logarithm of a joint's ratio depends on a delay that is hardly known
+    delay_doubts: Mapping[str, float] = field(init=False, default_factory=dict)
     # of goals that were not asked for, by index: what they would bring, over the PID's
     others: dict[str, dict[str, float]] = field(init=False, default_factory=dict)
 
@@ -504,9 +525,8 @@ class BagUpgrade:
         for name, known in joints.items():
             for index in INDICES:
                 before, model, after = (run.value(index, name) for run in self.comparison.runs)
-                known[index.key] = Expected(
-                    before, over(after, model), over(model, before), self.doubts[name]
-                )
+                doubt = self.doubts[name] + self.delay_doubts.get(name, 0.0)
+                known[index.key] = Expected(before, over(after, model), over(model, before), doubt)
         slides = self.model.robot.description.slides
         parameters = {each.joint: dict(each.to_parameters()) for each in self.settings}
         named = tuple(name for name in joints if name in slides)
@@ -530,6 +550,9 @@ class BagUpgrade:
         for name in (each.joint for each in self.loops):
             misfit = max(self._misfit(plain, name, (IVC,)), self._misfit(simulated, name, JUDGED))
             found[name] = _LEAST_DOUBT + _DOUBT_OF_MISFIT * misfit + self._lacking.get(name, 0.0)
+        recorded = {each.joint: each for each in self.recording.joints}
+        for each in self.before.joints:
+            found[each.joint] += _DOUBT_OF_COURSE * _unlike(each, recorded[each.joint])
         return found
 
     @cached_property
@@ -546,13 +569,14 @@ class BagUpgrade:
         ratios = [_ratio(run.value(x, name), self._target.value(x, name)) for x in indices]
         return max(abs(math.log(x)) if 0.0 < x < math.inf else math.inf for x in ratios)
 
-    def _doubt(self, goal: str, joint: str) -> float:
+    def _doubt(self, goal: str, joint: str, spread: Mapping[str, float]) -> float:
         """Return the doubt that a gain must exceed: of all joints where they count together."""
+        doubts = {name: each + spread.get(name, 0.0) for name, each in self.doubts.items()}
         if goal != "balanced":
-            return self.doubts[joint]
+            return doubts[joint]
         sizes = {name: self._target.value(IVC, name) for name in self.doubts}
         whole = math.fsum(sizes.values())
-        return math.fsum(sizes[x] * self.doubts[x] for x in sizes if sizes[x]) / (whole or 1.0)
+        return math.fsum(sizes[x] * doubts[x] for x in sizes if sizes[x]) / (whole or 1.0)
 
     @cached_property
     def _plain(self) -> RunSeries:
@@ -581,14 +605,18 @@ class BagUpgrade:
 
     def _shorter_delays(self, name: str) -> list[JointFacts]:
         """Return what is known of a joint with each shorter delay that its interval allows."""
+        tried = [self._with_shorter_delay(name, share) for share in _SHORTER]
+        return list(dict.fromkeys(each for each in tried if each is not None))
+
+    def _with_shorter_delay(self, name: str, share: float) -> JointFacts | None:
+        """Return what is known of a joint, its delay shorter by a share of its half-width."""
         facts, period = self.model.facts.get(name), median_period(self.recording.joints[0])
         found = {each.joint: each for each in self.identification.joints}.get(name)
         estimate = None if found is None else found.estimates.get(DELAY)
         if facts is None or estimate is None or not math.isfinite(estimate.half_width):
-            return []
-        shares = (share * estimate.half_width / period for share in _SHORTER)
-        delays = dict.fromkeys(max(facts.delay - round(each), 0) for each in shares)
-        return [facts._replace(delay=each) for each in delays if each != facts.delay]
+            return None
+        delay = max(facts.delay - round(share * estimate.half_width / period), 0)
+        return facts._replace(delay=delay) if delay != facts.delay else None
 
     @cached_property
     def before(self) -> RunSeries:
@@ -625,15 +653,43 @@ class BagUpgrade:
         before = self.before  # first: it fits the noise
         after = self._simulated(PREDICTED, _after(self.loops, found))
         both = Comparison((run_indices(before), run_indices(after)))
+        spread = self._delay_spread(_after(self.loops, found), both)
         found = {
-            name: worthwhile(each, goal, both, self._doubt(goal, name))
+            name: worthwhile(each, goal, both, self._doubt(goal, name, spread))
             for name, each in found.items()
         }
+        if goal == self.goal:
+            self.delay_doubts = {name: spread.get(name, 0.0) for name in _changed(found)}
         if not _changed(found):
             after = replace(before, label=PREDICTED)
         elif len(_changed(found)) < len(found):
             after = self._simulated(PREDICTED, _after(self.loops, found))
         return Proposals(found, failures), after
+
+    def _delay_spread(
+        self, proposed: Sequence[LoopSettings], both: Comparison
+    ) -> dict[str, float]:
+        """Return how far ratios move, by joint, with a delay at the near end of its interval."""
+        shorter = {
+            each.joint: known
+            for each in self.loops
+            if (known := self._with_shorter_delay(each.joint, 1.0)) is not None
+        }
+        if not shorter:
+            return {}
+        runs = [
+            run_indices(self._simulated(label, loops, shorter))
+            for label, loops in ((SIMULATED, self.loops), (PREDICTED, proposed))
+        ]
+        found: dict[str, float] = {}
+        for name in shorter:
+            one, other = (
+                [each.ratio(PREDICTED, index, name) for index in JUDGED]
+                for each in (both, Comparison(tuple(runs)))
+            )
+            moved = [abs(math.log(b / a)) for a, b in zip(one, other, strict=True) if a * b > 0.0]
+            found[name] = max((each for each in moved if math.isfinite(each)), default=0.0)
+        return found
 
     def try_other_goals(self) -> None:
         """Find what goals that were not asked for would bring to all joints."""
