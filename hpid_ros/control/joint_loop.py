@@ -135,7 +135,11 @@ class JointLoop:
         self._following.encoder_turn = max(settings.encoder.wrap, 0.0)
 
     def begin_with(self, integral: float) -> None:
-        """Begin with an integral term, as of a loop that ran before, in [N m]."""
+        """Begin with an integral term, as of a loop that ran before.
+
+        Args:
+            integral: In [N m]; held to its limits.
+        """
         self._law.restore_integral(integral)
 
     def follow(self, motion: Motion) -> None:
