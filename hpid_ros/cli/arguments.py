@@ -194,6 +194,9 @@ def topics_options(group: Any) -> None:
             of the states: use the measured ones; none: read no efforts (found by name and type,
             else the measured ones)
         --command-topic JOINT=TOPIC[INDEX] ...  of one joint's efforts; may be repeated
+        --sender NUMBER  which sender of the states where several send the same joints: its number
+            in the warning, its rate (50Hz) or its layout (names in their order) (the one that goes
+            on)
     """
     options(group, text)
 

@@ -42,7 +42,7 @@ def metrics(parser: Parser) -> None:
         --joints JOINT
         --reference TOPIC|FILE|hold  what the joints were to follow: a topic, or a kind of it
             (trajectory, setpoint, sampled, controller_state); a YAML file with a reference
-            section; hold: each its first position (auto: any kind that is there)
+            section; hold: each its first position (auto: as reported or asked)
         --indices NAME,...  ivc, iavc, itae, iae, ise, rmse, error_max, effort_l2, error_l2,
             rise_time, settling_time, overshoot, steady_state_error, saturation, chatter, energy;
             or paper, step, all (paper)
@@ -84,6 +84,10 @@ def metrics(parser: Parser) -> None:
     topics_options(rare)
     times_options(rare)
     text = """
+        --align HOW  lay runs over each other where their references begin, where these first move
+            (motion), or not (none) (auto: begin, or motion where that makes them one)
+        --window LABEL=START[:END] ...  part of one recording, in s after its first state, instead
+            of --align
         --overall  only the numbers over all joints, one a line
         --cutoff HZ  effort above it is chatter (20 Hz)
         --effort-limit [JOINT=]EFFORT ...  in N m, or N where it slides, at which a joint saturates
@@ -101,6 +105,7 @@ def metrics(parser: Parser) -> None:
     options(
         rare,
         text,
+        align="auto",
         cutoff=float,
         formats={"type": comma_separated, "default": ("png",)},
         params=Path,

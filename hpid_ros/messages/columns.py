@@ -20,6 +20,7 @@ from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.joint_state import (
     ENCAPSULATION,
     WORD,
+    Doubles,
     Layout,
     Walker,
     Words,
@@ -101,6 +102,7 @@ FLOAT64 = "std_msgs/msg/Float64"
 FLOAT64_MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+MULTI_DOF_STATE = "control_msgs/msg/MultiDOFStateStamped"
 
 
 def float64_layout(raw: bytes) -> Layout:
@@ -161,11 +163,44 @@ def _controller_state(raw: bytes, points: int, has_speed: bool) -> Layout:
     return walker.layout(stamp, names, fields)
 
 
+_DOF_FIELDS = (
+    *("reference", "feedback", "feedback_dot", "error", "error_dot", "time_step", "output"),
+)
+"""Numbers of a ``control_msgs/SingleDOFState``, behind its name."""
+
+
+_LEAST_DOF = 4 + 7 * WORD
+"""Bytes of a name's length and of its numbers."""
+
+
+def multi_dof_state_layout(raw: bytes) -> Layout:
+    """Learn the layout of a ``control_msgs/MultiDOFStateStamped``, as pid_controller reports.
+
+    Fields: ``reference``, ``feedback``, and ``effort``, the output.
+    """
+    walker = Walker(raw, "MultiDOFStateStamped")
+    stamp, _ = walker.time(), walker.string()
+    names, firsts = [], []
+    for _ in range(walker.count("states", _LEAST_DOF)):
+        names.append(walker.string())
+        firsts.append(walker.fixed_array(len(_DOF_FIELDS)).offset)
+    if not walker.is_at_end():
+        raise MessageError(f"a MultiDOFStateStamped has {len(raw)} bytes, too many")
+    named = {"reference": "reference", "feedback": "feedback", "effort": "output"}
+    places = {
+        field: tuple(first + WORD * _DOF_FIELDS.index(name) for first in firsts)
+        for field, name in named.items()
+    }
+    fields = {field: Doubles(0, len(names), at) for field, at in places.items()}
+    return walker.layout(stamp, tuple(names), fields)
+
+
 LAYOUTS: Mapping[str, Callable[[bytes], Layout]] = {
     JOINT_STATE: joint_state_layout,
     FLOAT64: float64_layout,
     FLOAT64_MULTI_ARRAY: float64_multi_array_layout,
     CONTROLLER_STATE: controller_state_layout,
+    MULTI_DOF_STATE: multi_dof_state_layout,
 }
 """How the layout of a type is learned; each raises MessageError for other bytes."""
 
@@ -298,11 +333,20 @@ def carried(
     return result
 
 
-class _Group:
-    """Messages that carry numbers of the same joints, whose times these share."""
+_LAYOUTS_AT_MOST = 64
+"""Layouts of the same joints that are told apart; who has more sends none twice."""
 
-    def __init__(self, joints: tuple[str, ...]) -> None:
-        self.joints = joints
+_PROBED = 1000  # numbers of a joint in a probe
+
+_GroupKey = tuple[tuple[str, ...], tuple[tuple[int, bytes], ...]]
+"""Joints, and the bytes that all messages of a layout share."""
+
+
+class _Group:
+    """Messages of one layout, which carry numbers of the same joints, whose times these share."""
+
+    def __init__(self, key: _GroupKey, joints: tuple[str, ...], text: str) -> None:
+        self.key, self.joints, self.text = key, joints, text
         self.times: list[tuple[Integers, Integers, Integers]] = []
         self.values: dict[str, list[Numbers]] = {joint: [] for joint in joints}
 
@@ -312,10 +356,9 @@ class _Group:
         return [np.concatenate(each) for each in zip(*self.times, strict=True)]
 
     def samples(self, joint: str) -> JointSamples:
-        """Return one joint's samples and forget its numbers."""
+        """Return one joint's samples."""
         stamps_ns, log_times_ns, places = self.clock
-        values = np.concatenate(self.values.pop(joint))
-        return JointSamples(stamps_ns, log_times_ns, places, values)
+        return JointSamples(stamps_ns, log_times_ns, places, np.concatenate(self.values[joint]))
 
 
 _INTERFACES = frozenset({"position", "velocity", "acceleration", "effort"})
@@ -335,7 +378,8 @@ class JointStream:
     ) -> None:
         self._learn = LAYOUTS[type]
         self._field, self._joints, self._elements = field, joints, elements
-        self._groups: dict[tuple[str, ...], _Group] = {}
+        self._groups: dict[_GroupKey, _Group] = {}
+        self._left_out: dict[str, Integers] = {}  # places of the messages that do not count
         self._of: dict[str, list[_Group]] = {}  # those that have numbers of a joint
         self.names: dict[str, None] = {}
         self.interfaces: dict[str, None] = {}  # names of interfaces that are not the field's
@@ -363,11 +407,47 @@ class JointStream:
         parts = []
         for group in self._of.pop(joint, ()):
             parts.append(group.samples(joint))
+            del group.values[joint]
             if not group.values:
-                del self._groups[group.joints]
+                del self._groups[group.key]
+        return self._joined(joint, parts)
+
+    def peek(self, joint: str) -> JointSamples | None:
+        """Return one joint's samples; None if there are none."""
+        return self._joined(joint, [each.samples(joint) for each in self._of.get(joint, ())])
+
+    def probes(self, joint: str) -> Iterator[Numbers]:
+        """Yield some of the numbers of a joint: from the begin, the middle and the end."""
+        for group in self._of.get(joint, ()):
+            chunks = group.values[joint]
+            for at in sorted({0, len(chunks) // 2, len(chunks) - 1}):
+                middle = max(0, (len(chunks[at]) - _PROBED) // 2)
+                yield chunks[at][middle : middle + _PROBED]
+
+    def shared(self) -> Iterator[tuple[tuple[str, ...], list[tuple[str, list[Integers]]]]]:
+        """Yield joints that the same messages carry, and these by layout.
+
+        Of each layout its text, and stamps, log times and places of its messages.
+        """
+        joints: dict[tuple[int, ...], list[str]] = {}
+        for joint, groups in self._of.items():
+            joints.setdefault(tuple(map(id, groups)), []).append(joint)
+        for names in joints.values():
+            groups = self._of[names[0]]
+            yield tuple(names), [(each.text, each.clock) for each in groups]
+
+    def leave_out(self, joint: str, places: Integers) -> None:
+        """Leave out the messages at some ascending places for a joint."""
+        self._left_out[joint] = places
+
+    def _joined(self, joint: str, parts: Sequence[JointSamples]) -> JointSamples | None:
         if not parts:
             return None
         samples = parts[0] if len(parts) == 1 else JointSamples.joined(parts)
+        if joint in self._left_out:
+            samples = samples.picked(~np.isin(samples.places, self._left_out[joint]))
+            if not len(samples.values):
+                return None
         log_times, places = samples.log_times_ns, samples.places
         if (log_times[1:] >= log_times[:-1]).all() and (places[1:] > places[:-1]).all():
             return samples
@@ -409,9 +489,13 @@ class JointStream:
             self.unequal[len(layout.names), length] += len(which)
         if not columns:
             return
-        group = self._groups.get(tuple(columns))
+        key: _GroupKey = tuple(columns), layout.fixed
+        group = self._groups.get(key)
+        if group is None and len(self._groups) >= _LAYOUTS_AT_MOST:
+            key = tuple(columns), ()
+            group = self._groups.get(key)
         if group is None:
-            self._groups[tuple(columns)] = group = _Group(tuple(columns))
+            self._groups[key] = group = _Group(key, tuple(columns), layout.text)
             for joint in columns:
                 self._of.setdefault(joint, []).append(group)
         stamps = layout.stamps_ns(rows, which)

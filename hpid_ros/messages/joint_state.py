@@ -124,6 +124,11 @@ class Doubles(NamedTuple):
 
     offset: int  # byte of the first, from the start of the message
     length: int  # how many there are
+    apart: tuple[int, ...] = ()  # the byte of each, where they do not follow each other
+
+    def place(self, index: int) -> int:
+        """Return the first byte of one of them."""
+        return self.apart[index] if self.apart else self.offset + _DOUBLE * index
 
 
 class Walker(Cursor):
@@ -149,7 +154,10 @@ class Walker(Cursor):
         return len(self.raw) - self.offset < 4
 
     def layout(
-        self, stamp: int | None, names: tuple[str, ...], fields: Mapping[str, Doubles]
+        self,
+        stamp: int | None,
+        names: tuple[str, ...],
+        fields: Mapping[str, Doubles],
     ) -> Layout:
         """Return the layout of the message; what has not been passed is padding."""
         self._keep(self.offset)
@@ -188,6 +196,12 @@ class Layout:
     # (offset, bytes) of what is neither a stamp nor a double, nor padding at the end
     fixed: tuple[tuple[int, bytes], ...]
 
+    @property
+    def text(self) -> str:
+        """Names and fields in words."""
+        fields = [name for name, each in self.fields.items() if each.length]
+        return f"{','.join(self.names)}; {', '.join(fields)}"
+
     def matches(self, raw: bytes) -> bool:
         """Return whether a message has this layout, byte for byte."""
         return len(raw) == self.size and all(
@@ -217,7 +231,7 @@ class Layout:
     def column(self, rows: Words, field: str, index: int) -> Numbers:
         """Return one number of each row of this layout, (n,); a view."""
         # Doubles lie at multiples of 8 bytes from the end of the encapsulation header.
-        at = (self.fields[field].offset + ENCAPSULATION) // WORD + index
+        at = (self.fields[field].place(index) + ENCAPSULATION) // WORD
         column: Numbers = rows.view(f"{self.order}f8")[:, at]
         return column
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import BagError
+from hpid_ros.base.errors import BagError, TrajectoryError
 from hpid_ros.base.names import NamePatterns
-from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
+from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.control.reference import GRACE_NS, LATCHED_WITHIN, require_timely
 from hpid_ros.messages.columns import (
     LARGEST,
     Integers,
@@ -22,8 +23,26 @@ from hpid_ros.messages.columns import (
     finite,
     ordered,
 )
+from hpid_ros.messages.references import (
+    MOMENT_NS,
+    Flags,
+    ReferenceCandidate,
+    ReferenceEvent,
+    apart,
+    finer,
+    first_state,
+    followed,
+    held_at_rest,
+    lasts,
+    reported,
+    sample_events,
+    sample_setpoints,
+    setpoint_events,
+    together,
+)
 from hpid_ros.messages.selection import BagSelection, RecordedRun, TopicChoice, choose_topics
 from hpid_ros.messages.series import (
+    GIVEN,
     HOLD,
     MEASURED,
     NO_EFFORT,
@@ -35,6 +54,7 @@ from hpid_ros.messages.series import (
     RunSeries,
     SeriesError,
     StampQuality,
+    stretches,
 )
 from hpid_ros.messages.storage import (
     Progress,
@@ -43,136 +63,8 @@ from hpid_ros.messages.storage import (
     no_progress,
     time_stood_still,
 )
-from hpid_ros.motion.joint_trajectory import (
-    Column,
-    JointTrajectory,
-    Knot,
-    ReferenceSample,
-    SplineReference,
-    approach,
-    segment,
-)
-
-
-class ReferenceEvent(NamedTuple):
-    """A trajectory or setpoint of one joint, and its place in the log."""
-
-    log_time_ns: int  # [ns] when it was recorded
-    place: int  # its place in the files
-    column: Column  # what the joint follows
-
-
-class _Span(NamedTuple):
-    """A reference, its knots, and the index of the first state that it holds for."""
-
-    begin: int
-    reference: SplineReference
-    times_ns: list[int]
-    knots: list[Knot]
-
-
-def setpoint_events(joint: str, setpoints: JointSamples) -> Iterator[ReferenceEvent]:
-    """Yield setpoints as trajectories of one point that are taken at once."""
-    columns = (part.tolist() for part in setpoints[1:])
-    for log_time_ns, place, position in zip(*columns, strict=True):
-        yield ReferenceEvent(log_time_ns, place, Column(joint, (Knot(0, position),)))
-
-
-def sample_setpoints(
-    setpoints: JointSamples, states: JointSamples, stamps_ns: Integers, first_position: float
-) -> Numbers | None:
-    """Return what :func:`sample_events` gives for setpoints alone, all at once."""
-    order = np.lexsort((setpoints.places, setpoints.log_times_ns))
-    log_times, places = setpoints.log_times_ns[order], setpoints.places[order]
-    following = np.searchsorted(states.log_times_ns, log_times)
-    last = np.searchsorted(states.log_times_ns, log_times, "right")
-    for index in np.flatnonzero(following < last).tolist():  # logged in the same nanosecond
-        following[index] = states.first_after(int(log_times[index]), int(places[index]))
-    is_heard = following < len(states.stamps_ns)
-    begins = np.searchsorted(stamps_ns, states.stamps_ns[following[is_heard]])
-    if (begins[1:] < begins[:-1]).any():
-        return None
-    positions = np.concatenate(([first_position], setpoints.values[order][is_heard]))
-    # Of several before one state the last stands.
-    sampled: Numbers = positions[np.searchsorted(begins, np.arange(len(stamps_ns)), "right")]
-    return sampled
-
-
-def sample_events(
-    events: Iterable[ReferenceEvent],
-    states: JointSamples,
-    stamps_ns: Integers,
-    first_position: float,
-) -> Numbers:
-    """Sample the reference of a joint at each of its states.
-
-    As in :class:`hpid_ros.control.JointLoop`, a trajectory takes over with the next state (the
-    first that was logged after it) from where the reference is then; one whose stamp lies ahead
-    at its stamp. A stamp earlier than that state moves the take-over back to the stamp: a
-    recorder that started late got the latched message later than the controllers. A later
-    message supersedes an earlier one that does not begin before it. Before any the joint holds
-    its first position. Glides, what fades, whole turns and stops are not in it.
-    """
-    spans: list[_Span] = []
-    for event in events:
-        begin = first_state(event, states, stamps_ns)
-        if begin == len(stamps_ns):
-            continue
-        now_ns = int(stamps_ns[begin])
-        if event.column.begin_ns > now_ns:  # it begins then, whenever the states come
-            now_ns = event.column.begin_ns
-            begin = int(np.searchsorted(stamps_ns, now_ns))
-        while spans and spans[-1].begin >= begin:
-            spans.pop()
-        before = ReferenceSample(first_position, 0.0, 0.0)
-        if spans:
-            before = spans[-1].reference.sample(now_ns)
-        spans.append(_span(begin, event.column, now_ns, before))
-    reference = np.full(len(stamps_ns), first_position)
-    end = len(stamps_ns)
-    for span in reversed(spans):
-        _fill(reference[span.begin : end], span, stamps_ns[span.begin : end])
-        end = span.begin
-    return reference
-
-
-def first_state(event: ReferenceEvent, states: JointSamples, stamps_ns: Integers) -> int:
-    """Return the index of the first state under a reference; the length if there is none."""
-    begin = len(stamps_ns)
-    following = states.first_after(event.log_time_ns, event.place)
-    if following < len(states.stamps_ns):
-        begin = int(np.searchsorted(stamps_ns, states.stamps_ns[following]))
-    if event.column.stamp_ns:
-        begin = min(begin, int(np.searchsorted(stamps_ns, event.column.stamp_ns)))
-    return begin
-
-
-def _span(begin: int, column: Column, now_ns: int, before: ReferenceSample) -> _Span:
-    """Start a column, keeping its knots as :class:`SplineReference` has them."""
-    reference = column.start(now_ns, before.position, before.velocity)
-    start_ns = column.stamp_ns or now_ns
-    knots: Sequence[Knot] = column.knots
-    if now_ns - start_ns < knots[0].time_ns:
-        here = Knot(now_ns - start_ns, before.position, before.velocity)
-        knots = (approach(here, knots[0]), *knots)
-    return _Span(begin, reference, [start_ns + knot.time_ns for knot in knots], list(knots))
-
-
-def _fill(target: Numbers, span: _Span, stamps_ns: Integers) -> None:
-    """Sample one reference at ascending stamps, to the bit as :class:`SplineReference` does."""
-    knots, times = span.knots, span.times_ns
-    bounds = [0, *np.searchsorted(stamps_ns, times).tolist(), len(stamps_ns)]
-    for index in range(-1, len(knots)):
-        begin, end = bounds[index + 1], bounds[index + 2]
-        if begin == end:
-            continue
-        if 0 <= index < len(knots) - 1:
-            c0, c1, c2, c3, c4, c5 = segment(knots[index], knots[index + 1])
-        else:
-            c0, c1, c2, c3, c4, c5 = (knots[max(index, 0)].position, 0.0, 0.0, 0.0, 0.0, 0.0)
-        from_ns = times[index] if index >= 0 else int(stamps_ns[begin])
-        t = (stamps_ns[begin:end] - from_ns) * SECONDS_PER_NANOSECOND
-        target[begin:end] = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
+from hpid_ros.messages.turns import CONTINUOUS, in_nearest_turn, unwrapped
+from hpid_ros.motion.joint_trajectory import Column, JointTrajectory
 
 
 def _overlap(one: Integers, other: Integers) -> bool:
@@ -186,6 +78,7 @@ _STRAYS = 30  # states that come so much late; more are a clock of their own
 _RUN_SPACING_NS = 1_000_000_000_000_000
 """Added to the stamps of each run after another one: longer than any run."""
 _FOREVER_NS = 2**63 - 1
+_AT_END = 0.05  # [rad] a joint that is no farther from the end of a trajectory has followed it
 _NO_EFFORT_WITHIN = "no effort lies within the time that is read, or efforts are on another clock"
 _EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
 
@@ -198,8 +91,22 @@ class Window(NamedTuple):
     last_ns: int  # [ns] its last instant
 
 
-_Reference = tuple[Numbers, str, int, int | None]
-"""A joint's reference at its states, kind and topic, its messages, when it began, in [ns]."""
+def _of_window(
+    found: ReferenceCandidate | None, whole_ns: Integers, stamps_ns: Integers
+) -> tuple[Numbers, Flags]:
+    """Return a reference at the states of a window, and where it is known; empty without one."""
+    if found is not None:
+        first = int(np.searchsorted(whole_ns, stamps_ns[0]))
+        inner = slice(first, first + len(stamps_ns))
+        if found.known[inner].any():
+            return found.values[inner].copy(), found.known[inner].copy()
+    return np.empty(0), np.zeros(len(stamps_ns), dtype=np.bool_)
+
+
+def _spans(known: Flags, stamps_ns: Integers) -> Iterator[Integers]:
+    """Yield the stamps of the first and the last state of each stretch that is known."""
+    for first, end in stretches(known):
+        yield stamps_ns[[first, end - 1]]
 
 
 class JointRun:
@@ -217,7 +124,12 @@ class JointRun:
         self._samples = samples._replace(stamps_ns=self._times(samples))
         if not selection.separates_runs:
             self._require_one_run()
-        self.states = ordered(self._samples.stamps_ns, samples.values, not_finite)
+        states = ordered(self._samples.stamps_ns, samples.values, not_finite)
+        self._kind = selection.kinds.get(joint)
+        self.states, turns = unwrapped(states, self._kind)
+        self._turns = turns > 0 or self._kind == CONTINUOUS
+        if turns and self._kind != CONTINUOUS:
+            recording.unwrap(joint, turns, self._kind)
         if clock == "header" and len(samples.values) > 1 and not self.states.stamps_ns.any():
             raise SeriesError(
                 f"joint {joint!r}: its states carry no stamps; read them with clock 'receive'"
@@ -240,27 +152,32 @@ class JointRun:
         states = whole.within(window.first_ns, window.last_ns)
         if not len(states.stamps_ns):
             return None
-        reference, kind, count, begin = self._reference(whole, window)
+        found = self._reference(whole, window)
         commands, command_clock, effort = self._commands()
         no_effort = _NO_EFFORT_WITHIN if len(commands.stamps_ns) else self._no_effort
         commands = commands.within(window.first_ns, window.last_ns)
         if np.array_equal(commands.stamps_ns, states.stamps_ns):
             commands = commands._replace(stamps_ns=states.stamps_ns)
         losses, answers = self._losses(states, commands, command_clock, effort)
-        if len(reference):
-            reference = Ordered(whole.stamps_ns, reference).within(*window[1:]).values
+        reference, known = _of_window(found, whole.stamps_ns, states.stamps_ns)
         for array in (*states[:2], *commands[:2], reference):
             array.setflags(write=False)
-        series = JointSeries(self._joint, *states[:2], reference, *commands[:2])
+        is_known = None if not len(reference) or known.all() else known
+        series = JointSeries(self._joint, *states[:2], reference, *commands[:2], known=is_known)
+        begin = None if found is None else found.begin_ns
         quality = DataQuality(
             states=states.quality(window.origin_ns),
             commands=commands.quality(window.origin_ns),
             state_clock=self._clock,
             command_clock=command_clock,
             answers_states=answers,
-            reference=kind,
-            references=count,
+            reference=NONE if found is None else found.text,
+            references=0 if found is None else found.count,
             reference_from=None if begin is None else (begin - window.origin_ns) / NANOSECONDS,
+            reference_spans=tuple(
+                tuple((int(stamp) - window.origin_ns) / NANOSECONDS for stamp in span)
+                for span in _spans(known, states.stamps_ns)
+            ),
             effort=effort if len(commands.stamps_ns) else NONE,
             no_effort="" if len(commands.stamps_ns) else no_effort,
         )
@@ -362,59 +279,114 @@ class JointRun:
             return Losses(0, commands.repeated), False
         return Losses(count - answered, commands.repeated), True
 
-    def _reference(self, states: Ordered, window: Window) -> _Reference:
-        """Return the reference at the states and where it comes from; none without one."""
+    def _reference(self, states: Ordered, window: Window) -> ReferenceCandidate | None:
+        """Return the reference at the states; None without one.
+
+        What controllers report of a joint counts, and what they were asked where none reports.
+        """
         asked = self._selection.reference
         if asked == HOLD:
-            held = np.full(len(states.stamps_ns), states.values[0])
-            return held, HOLD, 0, None
+            held, known = (np.full(len(states.values), each) for each in (states.values[0], True))
+            return ReferenceCandidate(HOLD, 0, held, known)
         if isinstance(asked, JointTrajectory):
-            trajectories, setpoints = self._given(asked, window), None
-        else:
-            trajectories = [
-                (f"trajectory {topic}", self._on_clock(log_time_ns, place, column))
-                for log_time_ns, place, topic, column in self._recording.trajectories_of(
-                    self._joint
-                )
-            ]
-            trajectories.sort(key=lambda each: each[1][:2])
-            setpoints = self._setpoints()
-        if trajectories or setpoints is not None:
-            return self._followed(trajectories, setpoints, states)
+            given = self._given(asked, window)
+            return self._followed(given, None, states) if given else None
+        reports, sampled = self._reports(states)
+        wanted = self._asked(states)
+        if not reports:
+            return wanted
+        found, disagreements = together(reports, states.values, states.stamps_ns)
+        for each in disagreements:
+            self._recording.disagree(self._joint, each)
+        if wanted is not None:
+            differ = apart(found, wanted)
+            if lasts(differ, states.stamps_ns, MOMENT_NS):
+                self._recording.overrule(self._joint, found, wanted, differ)
+            if sampled is not None:
+                return finer(found, wanted, np.isin(states.stamps_ns, sampled))
+        return found
+
+    def _reports(self, states: Ordered) -> tuple[list[ReferenceCandidate], Integers | None]:
+        """Return what controllers report, and the stamps of what our own one samples."""
+        reports, stamps_ns = [], None
+        choice = self._recording.choice
         for topic, stream in self._recording.sampled.items():
             taken = stream.take(self._joint)
             samples, not_finite = (None, 0) if taken is None else finite(taken)
-            if samples is not None and len(samples.values):
-                return self._sampled(topic, samples, not_finite, states)
-        return np.empty(0), NONE, 0, None
+            if samples is None or not len(samples.values):
+                continue
+            if not self._recording.is_of_position(topic, self._joint, states, self._times):
+                continue
+            is_sampled = topic in choice.references.sampled
+            text = f"{'sampled' if is_sampled else 'controller_state'} {topic}"
+            times = self._times(samples)
+            if self._is_unstamped(samples) or self._is_on_another_clock(samples):
+                mine = self._samples
+                times = carried(samples.log_times_ns, mine.log_times_ns, mine.stamps_ns)
+                text += ", by the times at which it was received"
+            known = ordered(times, samples.values, not_finite)
+            if self._turns:
+                known, _ = unwrapped(known, CONTINUOUS)
+            reports.append(self._turned(reported(text, known, states.stamps_ns), states))
+            stamps_ns = known.stamps_ns if is_sampled and len(reports) == 1 else None
+        return reports, stamps_ns
 
-    def _sampled(
-        self, topic: str, samples: JointSamples, not_finite: int, states: Ordered
-    ) -> _Reference:
-        """Return a sampled reference at the states: linear between, constant after its samples."""
-        is_sampled = topic in self._recording.choice.references.sampled
-        kind = f"{'sampled' if is_sampled else 'controller_state'} {topic}"
-        times = self._times(samples)
-        if self._is_unstamped(samples) or self._is_on_another_clock(samples):
-            mine = self._samples
-            times = carried(samples.log_times_ns, mine.log_times_ns, mine.stamps_ns)
-            kind += ", by the times at which it was received"
-        known = ordered(times, samples.values, not_finite)
-        origin = known.stamps_ns[0]  # differences of stamps are exact as doubles, stamps are not
-        values = np.interp(
-            (states.stamps_ns - origin).astype(float),
-            (known.stamps_ns - origin).astype(float),
-            known.values,
-            left=states.values[0],
-        )
-        return values, kind, len(samples.values), max(int(origin), int(states.stamps_ns[0]))
+    def _asked(self, states: Ordered) -> ReferenceCandidate | None:
+        """Return what trajectories and setpoints ask of the joint; None without any."""
+        events = [
+            (f"trajectory {topic}", event)
+            for log_time_ns, place, topic, column in self._recording.trajectories_of(self._joint)
+            if self._is_taken(event := self._on_clock(log_time_ns, place, column), topic)
+        ]
+        events.sort(key=lambda each: each[1][:2])
+        texts = dict.fromkeys(text for text, _ in events)
+        if len(texts) > 1:
+            alone = [
+                self._followed([each for each in events if each[0] == text], None, states)
+                for text in texts
+            ]
+            kept, disagreements = followed(alone, states.values, states.stamps_ns)
+            for each in disagreements:
+                self._recording.disagree(self._joint, each)
+            events = [each for each in events if each[0] in kept]
+        setpoints = self._setpoints()
+        if not events and setpoints is None:
+            return None
+        return self._followed(events, setpoints, states)
+
+    def _is_taken(self, event: ReferenceEvent, topic: str) -> bool:
+        """Return whether controllers take a trajectory, by the stamps of the states.
+
+        One that came with the first states may be latched: the controllers had it before, and
+        the joint stands at its end.
+        """
+        window_ns = event.column.window_ns
+        if window_ns is None:
+            return True
+        states = self._samples
+        following = states.first_after(event.log_time_ns, event.place)
+        before = max(following - 1, 0)
+        reason = ""
+        for now in (before, min(following, len(states.values) - 1)):
+            try:
+                require_timely("the first", window_ns, int(states.stamps_ns[now]), GRACE_NS)
+            except TrajectoryError as error:
+                reason = reason or str(error)
+            else:
+                return True
+        since_ns = event.log_time_ns - int(states.log_times_ns[0])
+        off = abs(event.column.knots[-1].position - float(states.values[before]))
+        if since_ns <= LATCHED_WITHIN * NANOSECONDS and off <= _AT_END:
+            return True
+        self._recording.refuse(topic, event.place, reason)
+        return False
 
     def _followed(
         self,
         trajectories: list[tuple[str, ReferenceEvent]],
         setpoints: tuple[str, JointSamples] | None,
         states: Ordered,
-    ) -> _Reference:
+    ) -> ReferenceCandidate:
         """Return the reference that trajectories and setpoints make together."""
         logged, stamps_ns = self._samples, states.stamps_ns
         first = float(states.values[0])
@@ -435,7 +407,16 @@ class JointRun:
         begin_ns = int(stamps_ns[begin]) if begin < len(stamps_ns) else None
         if values is None:
             values = sample_events(events, logged, stamps_ns, first)
-        return values, " and ".join(kinds), count, begin_ns
+        known = held_at_rest(states.values, begin)
+        found = ReferenceCandidate(" and ".join(kinds), count, values, known, begin_ns=begin_ns)
+        return self._turned(found, states)
+
+    def _turned(self, found: ReferenceCandidate, states: Ordered) -> ReferenceCandidate:
+        """Return a reference in the turn that is nearest to a joint which turns without end."""
+        if not self._turns:
+            return found
+        nearest = in_nearest_turn(found.values, states.values, states.stamps_ns)
+        return replace(found, values=nearest)
 
     def _given(
         self, trajectory: JointTrajectory, window: Window
@@ -446,7 +427,7 @@ class JointRun:
         column = trajectory.column(self._joint)
         if window.origin_ns > 0:
             column = replace(column, stamp_ns=window.origin_ns)
-        return [("given", ReferenceEvent(-_FOREVER_NS, -1, column))]
+        return [(GIVEN, ReferenceEvent(-_FOREVER_NS, -1, column))]
 
     def _setpoints(self) -> tuple[str, JointSamples] | None:
         """Return the setpoints of the joint with kind and topic; None if it has none."""
@@ -559,6 +540,7 @@ def _recording(
         recording = collected(choice.measured())
         recording.notes += [line for line in before if line not in recording.odd_lines()]
     _require_messages(where, recording)
+    recording.resolve_senders(selection.sender)
     if choice.others:
         recording.notes.append(
             f"{', '.join(choice.others)}: not read, as another robot's, whose states are beside "
@@ -575,7 +557,7 @@ def _recording(
 def _require_messages(where: str, recording: RecordedRun) -> None:
     """Raise BagError if there are no states, or no commands though they were asked for."""
     counts = {topic: stream.message_count for topic, stream in recording.streams()}
-    counts |= dict.fromkeys(recording.choice.references.trajectory, 0)
+    counts |= dict.fromkeys(recording.choice.references.trajectories, 0)
     for _, _, topic, _ in recording.trajectories:
         counts[topic] += 1
     choice = recording.choice
@@ -661,6 +643,7 @@ def _run(
             ):
                 one, losses[joint], qualities[joint] = found
                 series.append(one)
+    recording.notes.extend((*recording.turn_lines(), *recording.reference_lines()))
     recording.notes.extend(_foreign_clocks(qualities))
     is_window = start is not None or end is not None
     streams = [each for found in qualities.values() for each in (found.states, found.commands)]

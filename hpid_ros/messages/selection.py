@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
+
+import numpy as np
 
 from hpid_ros.base.errors import (
     BagError,
@@ -17,6 +19,7 @@ from hpid_ros.base.errors import (
     unknown_name,
 )
 from hpid_ros.base.names import joint_of_controller
+from hpid_ros.base.units import Numbers
 from hpid_ros.messages.bounds import RECORDED
 from hpid_ros.messages.columns import (
     CONTROLLER_STATE,
@@ -24,11 +27,27 @@ from hpid_ros.messages.columns import (
     FLOAT64_MULTI_ARRAY,
     JOINT_STATE,
     JOINT_TRAJECTORY,
+    MULTI_DOF_STATE,
+    Integers,
     JointSamples,
     JointStream,
+    Ordered,
     TopicBatch,
+    finite,
+    ordered,
 )
 from hpid_ros.messages.joint_trajectory import TrajectoryArrays, decode_trajectory
+from hpid_ros.messages.references import Disagreement, Flags, ReferenceCandidate
+from hpid_ros.messages.senders import (
+    Part,
+    Senders,
+    contradict_at_one_instant,
+    find_senders,
+    has_several_clocks,
+    may_be_several,
+    returns,
+    stands_every_other,
+)
 from hpid_ros.messages.series import HOLD, SeriesError
 from hpid_ros.motion.joint_trajectory import Column, JointTrajectory
 
@@ -92,6 +111,11 @@ class BagSelection:
         end: End of the window (inclusive), likewise.
         separates_runs: Whether stamps that go back by a second or more begin another run, which
             then follows the one before after a gap; else all are put in the order of their stamps.
+        sender: Which sender of joint states is taken where several send the same joints: its
+            number in the warning, its rate (``50Hz``) or its layout; the one that goes on if None.
+        kinds: Types of joints as a URDF has them, by name, for their turns: positions of
+            ``continuous`` joints are unwrapped and their errors taken to the nearest turn, as are
+            those of others, with a line, where the positions jump by a turn.
         every: Whether the other joints that the states name follow, as far as they can be read.
 
     Raises:
@@ -109,6 +133,8 @@ class BagSelection:
     end: float | None = None
     separates_runs: bool = False
     every: bool = False
+    sender: str | None = None
+    kinds: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.joints is not None:
@@ -120,7 +146,7 @@ class BagSelection:
             object.__setattr__(self, "states", (self.states,))
         elif self.states is not None:
             object.__setattr__(self, "states", tuple(self.states))
-        for name in ("namespace", "states", "commands", "reference"):
+        for name in ("namespace", "states", "commands", "reference", "sender"):
             value = getattr(self, name)
             if value == "" or (name == "states" and value is not None and not all(value or [""])):
                 raise SettingError(f"{name} must not be an empty text")
@@ -192,6 +218,8 @@ def joint_of(topic: str) -> str:
 
 
 _FLOATS = (FLOAT64, FLOAT64_MULTI_ARRAY)
+REPORTS = (CONTROLLER_STATE, MULTI_DOF_STATE)
+"""Types in which controllers of ros2_control report reference and output of each joint."""
 _EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
 _COMMANDS_OF_A_JOINT = ("command", "commands")
 """Positions, velocities or efforts: only who ran the controllers knows."""
@@ -203,10 +231,16 @@ _NEITHER_STATES_NOR_COMMANDS = ("reference", "terms", "estimate")
 class ReferenceTopics(NamedTuple):
     """Topics that say what the joints were to follow."""
 
-    trajectory: tuple[str, ...] = ()  # JointTrajectory
+    trajectory: tuple[str, ...] = ()  # JointTrajectory, of the controllers
     setpoint: Mapping[str, str] = {}  # Float64, by joint
     sampled: tuple[str, ...] = ()  # JointState with sampled references
-    controller_state: tuple[str, ...] = ()  # JointTrajectoryControllerState with references
+    # JointTrajectoryControllerState and MultiDOFStateStamped, with references
+    controller_state: tuple[str, ...] = ()
+    further: tuple[str, ...] = ()  # JointTrajectory, of other controllers or of planners
+
+    @property
+    def trajectories(self) -> tuple[str, ...]:
+        return (*self.trajectory, *self.further)
 
 
 NO_REFERENCES = ReferenceTopics()
@@ -242,7 +276,7 @@ class TopicChoice:
                 *self.states,
                 *self.commands,
                 *(each.topic for each in self.command_topics.values()),
-                *references.trajectory,
+                *references.trajectories,
                 *references.setpoint.values(),
                 *references.sampled,
                 *references.controller_state,
@@ -312,6 +346,14 @@ class _Chooser:
         found = [name for name in self.of_type(*types) if is_below(name, self.near)]
         return sorted(found, key=lambda name: name.count("/"))
 
+    def own(self, *types: str) -> list[str]:
+        """Return :meth:`below` without what is another robot's, which has states of its own."""
+        found = self.below(*types)
+        return [x for x in found if not any(self.is_of_another(x, each) for each in self.others)]
+
+    def is_of_another(self, topic: str, namespace: str) -> bool:
+        return is_below(topic, namespace) and not is_below(f"{self.near}/", namespace)
+
     def one(self, what: str, found: list[str], option: str) -> str:
         if len(found) > 1:
             raise BagError(
@@ -345,7 +387,7 @@ class _Chooser:
         if asked == NO_COMMANDS:
             return (), {}
         if asked not in (None, EFFORT_COMMANDS):
-            named = self.named(asked, (JOINT_STATE, CONTROLLER_STATE))
+            named = self.named(asked, (JOINT_STATE, *REPORTS))
             return (states if named in states else (named,)), {}
         candidates = self.of_type(JOINT_STATE)
         here = f"{self.near}/joint_commands"
@@ -373,7 +415,7 @@ class _Chooser:
                     f"{self.listed()}"
                 )
             return (), floats
-        reports = tuple(self.below(CONTROLLER_STATE))
+        reports = tuple(self.own(*REPORTS))
         if floats or reports or has_explicit:
             return reports, floats
         found = [
@@ -409,26 +451,30 @@ class _Chooser:
         if asked not in REFERENCES:
             return self.named_reference(asked)
         here = f"{self.near}/joint_trajectory"
-        trajectories = self.below(JOINT_TRAJECTORY)
+        trajectories = self.own(JOINT_TRAJECTORY)
+        nearest = (here,) if here in trajectories else tuple(trajectories)
         found = ReferenceTopics(
-            (here,) if here in trajectories else tuple(trajectories),
+            nearest,
             {
                 joint_of(name): name
                 for name in reversed(self.below(FLOAT64))
                 if last_part(name) == "setpoint"
             },
-            tuple(name for name in self.below(JOINT_STATE) if last_part(name) == "reference"),
-            tuple(self.below(CONTROLLER_STATE)),
+            tuple(name for name in self.own(JOINT_STATE) if last_part(name) == "reference"),
+            tuple(self.own(*REPORTS)),
+            tuple(name for name in trajectories if name not in nearest),
         )
         if asked == "auto":
             return found
         wanted = getattr(found, asked)
         if not wanted:
             raise BagError(f"{self.where}: no {asked} as reference; topics: {self.listed()}")
+        if asked == "trajectory":
+            return NO_REFERENCES._replace(trajectory=wanted, further=found.further)
         return NO_REFERENCES._replace(**{asked: wanted})
 
     def named_reference(self, name: str) -> ReferenceTopics:
-        allowed = (JOINT_TRAJECTORY, FLOAT64, JOINT_STATE, CONTROLLER_STATE)
+        allowed = (JOINT_TRAJECTORY, FLOAT64, JOINT_STATE, *REPORTS)
         topic = self.named(name, allowed)
         kind = self.types[topic]
         if kind == FLOAT64:
@@ -468,6 +514,82 @@ def _listed(types: Mapping[str, str]) -> str:
     return ", ".join(f"{name} ({types[name]})" for name in sorted(types)) or "none"
 
 
+_FEEDBACK_OFF = 0.05  # [rad] feedback that is no farther from the positions is one
+_FEEDBACK_SHARE = 0.1  # of the positions' range
+_FEEDBACK_MOST = 0.3  # [rad]; of the whole turns nothing is left by then
+
+
+def _farthest(found: Mapping[str, float]) -> str:
+    """Return joints and how far their references are apart, at most."""
+    joints = list(found)
+    shown = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
+    return f"{shown} (by up to {max(found.values()):.3g} rad)"
+
+
+def _may_be_several(
+    stream: JointStream,
+    efforts: JointStream | None,
+    joints: Sequence[str],
+    layout: tuple[str, list[Integers]],
+) -> bool:
+    """Return whether messages of one layout may be of several senders, by a glance."""
+    stamps_ns, log_times_ns, _ = layout[1]
+    if may_be_several(stamps_ns) or has_several_clocks(stamps_ns, log_times_ns):
+        return True
+    if any(returns(some) for joint in joints for some in stream.probes(joint)):
+        return True
+    return efforts is not None and any(
+        stands_every_other(some) for joint in joints for some in efforts.probes(joint)
+    )
+
+
+def _has_two_efforts(samples: JointSamples | None) -> bool:
+    return samples is not None and contradict_at_one_instant(samples.stamps_ns, samples.values)
+
+
+def _parts(
+    stream: JointStream | None,
+    efforts: JointStream | None,
+    joints: Sequence[str],
+    layouts: Sequence[tuple[str, list[Integers]]],
+) -> list[Part]:
+    """Return the messages of some joints by layout, with their positions and measured efforts."""
+
+    def columns(of: JointStream | None, places: Integers) -> dict[str, Numbers]:
+        found = {}
+        for joint in joints:
+            samples = None if of is None else of.peek(joint)
+            if samples is None:
+                continue
+            order = np.argsort(samples.places)
+            at = np.searchsorted(samples.places[order], places)
+            at = order[np.minimum(at, len(order) - 1)]
+            if (samples.places[at] == places).all():
+                found[joint] = np.nan_to_num(samples.values[at])
+        return found
+
+    return [
+        Part(
+            text,
+            stamps_ns,
+            log_times_ns,
+            places,
+            columns(stream, places),
+            columns(efforts, places),
+        )
+        for text, (stamps_ns, log_times_ns, places) in layouts
+    ]
+
+
+def _senders_line(topic: str, what: str, joints: Sequence[str], found: Senders) -> str:
+    names = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
+    return (
+        f"{names} on {topic}: {what} of {len(found.each)} senders, {'; '.join(found.texts())}: "
+        f"sender {found.taken} is taken, the others are left out (--sender NUMBER, RATEHz or "
+        "LAYOUT takes another)"
+    )
+
+
 def decoded_trajectory(raw: bytes) -> TrajectoryArrays:
     """Return a serialised trajectory, checked."""
     decoded = decode_trajectory(raw, RECORDED)
@@ -494,7 +616,7 @@ class RecordedRun:
         self.commands = {
             topic: JointStream(types[topic], "effort", joints) for topic in choice.commands
         }
-        self.reports = {topic for topic in choice.commands if types[topic] == CONTROLLER_STATE}
+        self.reports = {topic for topic in choice.commands if types[topic] in REPORTS}
         elements: dict[str, dict[int, str]] = {}
         for joint, (topic, element) in choice.command_topics.items():
             elements.setdefault(topic, {})[element] = joint
@@ -510,13 +632,25 @@ class RecordedRun:
         self.sampled = {
             topic: JointStream(JOINT_STATE, "position", joints) for topic in references.sampled
         } | {
-            topic: JointStream(CONTROLLER_STATE, "reference", joints)
+            topic: JointStream(types[topic], "reference", joints)
             for topic in references.controller_state
         }
+        # what a PID controller is fed, which may be a velocity
+        self.feedbacks = {
+            topic: JointStream(MULTI_DOF_STATE, "feedback", joints)
+            for topic in references.controller_state
+            if types[topic] == MULTI_DOF_STATE
+        }
+        self._disagreements: dict[tuple[str, str, bool], dict[str, float]] = {}
+        self._overruled: dict[tuple[str, str], dict[str, float]] = {}
+        self._turned: dict[str | None, dict[str, int]] = {}  # turns by joint, by its type
+        self._refused: dict[str, dict[int, str]] = {}  # reasons by place, by topic
+        self._foreign: dict[str, list[str]] = {}  # joints by topic whose references are no angles
 
     def streams(self) -> Iterator[tuple[str, JointStream]]:
         """Yield topic and stream of everything but trajectories."""
-        for streams in (self.states, self.commands, self.floats, self.setpoints, self.sampled):
+        every = (self.states, self.commands, self.floats, self.setpoints, self.sampled)
+        for streams in (*every, self.feedbacks):
             yield from streams.items()
 
     def odd_lines(self) -> Iterator[str]:
@@ -525,7 +659,7 @@ class RecordedRun:
             yield from stream.odd_lines(topic)
 
     def add(self, batch: TopicBatch) -> None:
-        if batch.topic in self.choice.references.trajectory:
+        if batch.topic in self.choice.references.trajectories:
             self._add_trajectories(batch)
             return
         for topic, stream in self.streams():
@@ -562,9 +696,122 @@ class RecordedRun:
             log_time_ns, place, topic, arrays = self.trajectories[number]
             yield log_time_ns, place, topic, arrays.column_at(at)
 
+    def is_of_position(
+        self, topic: str, joint: str, states: Ordered, times: Callable[[JointSamples], Integers]
+    ) -> bool:
+        """Return whether what a report is about is the joint's position, by its feedback."""
+        stream = self.feedbacks.get(topic)
+        samples = None if stream is None else stream.take(joint)
+        if samples is None:
+            return True
+        samples, _ = finite(samples)
+        if not len(samples.values):
+            return True
+        known = ordered(times(samples), samples.values, 0)
+        at = np.searchsorted(known.stamps_ns, states.stamps_ns)
+        at = np.minimum(at, len(known.stamps_ns) - 1)
+        off = known.values[at] - states.values
+        off -= math.tau * np.round(off / math.tau)
+        share = _FEEDBACK_SHARE * float(np.ptp(states.values))
+        if np.median(np.abs(off)) <= min(max(_FEEDBACK_OFF, share), _FEEDBACK_MOST):
+            return True
+        self._foreign.setdefault(topic, []).append(joint)
+        return False
+
+    def disagree(self, joint: str, found: Disagreement) -> None:
+        """Note that two topics said different things about a joint."""
+        key = found.taken, found.left, found.is_mixed
+        self._disagreements.setdefault(key, {})[joint] = found.largest
+
+    def overrule(
+        self, joint: str, found: ReferenceCandidate, asked: ReferenceCandidate, differ: Flags
+    ) -> None:
+        """Note that a controller reported something else than it was asked."""
+        largest = float(np.abs(found.values - asked.values)[differ].max())
+        self._overruled.setdefault((found.topic, asked.topic), {})[joint] = largest
+
+    def refuse(self, topic: str, place: int, reason: str) -> None:
+        """Note a trajectory that no controller takes."""
+        self._refused.setdefault(topic, {})[place] = reason
+
+    def unwrap(self, joint: str, turns: int, kind: str | None) -> None:
+        """Note positions that jumped by a turn though nobody says that the joint turns so."""
+        self._turned.setdefault(kind, {})[joint] = turns
+
+    def turn_lines(self) -> Iterator[str]:
+        """Yield a line for joints whose positions were unwrapped by what they look like alone."""
+        for kind, joints in self._turned.items():
+            why = (
+                "nobody says whether they turn without end" if kind is None else f"they are {kind}"
+            )
+            counts = ", ".join(f"{joint} {count} times" for joint, count in joints.items())
+            yield (
+                f"positions jump by a turn, as of a driver that reports one turn alone: {counts} "
+                f"({why}): the turns are added up, and errors taken to the nearest turn"
+            )
+
+    def reference_lines(self) -> Iterator[str]:
+        """Yield a line for each thing about the references that was decided."""
+        for topic, reasons in self._refused.items():
+            those = "1 trajectory" if len(reasons) == 1 else f"{len(reasons)} trajectories"
+            first = next(iter(reasons.values()))
+            yield f"{those} on {topic} left out, as controllers refuse them: {first}"
+        for topic, joints in self._foreign.items():
+            yield (
+                f"{topic} reports no positions of {', '.join(joints)}: its feedback is something "
+                "else than joint_states say: not taken as the reference"
+            )
+        for (taken, left, is_mixed), found in self._disagreements.items():
+            how = "each where the joint follows it" if is_mixed else f"the joint follows {taken}"
+            yield f"{taken} and {left} have unlike references of {_farthest(found)}: {how}"
+        for (report, asked), found in self._overruled.items():
+            yield (
+                f"{report} reports another reference than {asked} asks for, of "
+                f"{_farthest(found)}: what the controller reports is taken"
+            )
+
     def has_efforts(self) -> bool:
         streams = (*self.commands.values(), *self.floats.values())
         return any(stream.joints() for stream in streams)
+
+    def resolve_senders(self, wanted: str | None) -> None:
+        """Keep one sender of each joint, the wanted one or the one that goes on, and say so.
+
+        Raises:
+            SettingError: No sender of any joint is the wanted one.
+        """
+        found: list[tuple[str, Senders]] = []
+        for topic, stream in self.states.items():
+            efforts = self.commands.get(topic) if self.choice.is_measured else None
+            for joints, layouts in stream.shared():
+                if len(layouts) < 2 and not _may_be_several(stream, efforts, joints, layouts[0]):
+                    continue
+                senders = find_senders(_parts(stream, efforts, joints, layouts), wanted)
+                if senders is None:
+                    continue
+                found.append((_senders_line(topic, "states", joints, senders), senders))
+                for each in (stream,) if efforts is None else (stream, efforts):
+                    for joint in joints:
+                        each.leave_out(joint, senders.left_out)
+        for topic, stream in self.commands.items():
+            if self.choice.is_measured or topic in self.reports:
+                continue
+            for joints, layouts in stream.shared():
+                if not any(_has_two_efforts(stream.peek(joint)) for joint in joints):
+                    continue
+                senders = find_senders(_parts(None, stream, joints, layouts), wanted)
+                if senders is None:
+                    continue
+                found.append((_senders_line(topic, "efforts", joints, senders), senders))
+                for joint in joints:
+                    stream.leave_out(joint, senders.left_out)
+        lines = [line for line, _ in found]
+        self.notes.extend(lines)
+        if wanted is not None and not any(senders.is_wanted for _, senders in found):
+            raise SettingError(
+                f"no sender is {wanted!r}: "
+                + ("; ".join(lines) or "each joint has one sender, by what can be seen")
+            )
 
     def known_joints(self) -> list[str]:
         """Return the joints that states name, in their order."""

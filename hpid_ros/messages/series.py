@@ -19,6 +19,8 @@ from hpid_ros.base.units import NANOSECONDS, Numbers
 
 HOLD = "hold"
 """As a reference: the joint's first position, because it was asked for."""
+GIVEN = "given"
+"""As a reference: a trajectory that is not in the recording."""
 MEASURED = "measured"
 """First word of the source of efforts that nobody commanded."""
 NONE = "none"
@@ -65,6 +67,8 @@ class DataQuality:
     references: int = 0  # number of reference messages that concern the joint
     # [s] when the joint came under its reference, in seconds since the first state of any joint
     reference_from: float | None = None
+    # [s] first and last state of each stretch with a reference, since the first state of any joint
+    reference_spans: tuple[tuple[float, ...], ...] = ()
     effort: str = NONE  # topic of the efforts, "measured" and the topic of the states, or "none"
     no_effort: str = ""  # why there is none; empty if there is
 
@@ -75,6 +79,21 @@ class DataQuality:
         if not (states.count and commands.count):
             return True
         return states.begin <= commands.end and commands.begin <= states.end
+
+    @property
+    def without_reference(self) -> float:
+        """Share of the states' time for which there is no reference, of a joint that has one."""
+        time = self.states.end - self.states.begin
+        if not self.reference_spans or time <= 0.0:
+            return 0.0
+        return 1.0 - sum(end - begin for begin, end in self.reference_spans) / time
+
+    @property
+    def held_before(self) -> float:
+        """Time before the first trajectory or setpoint in which the first position counts."""
+        if self.reference_from is None or not self.reference_spans:
+            return 0.0
+        return max(self.reference_from - self.reference_spans[0][0], 0.0)
 
     @property
     def uncovered(self) -> float:
@@ -135,6 +154,8 @@ class JointSeries:
             increasing, in [ns]. M = 0 is a joint whose controller never answered.
         effort: Effort of each command, or as it was measured, (M,), in [N m].
         is_slide: Whether the joint is known to slide: "rad" reads "m" then, and "N m" reads "N".
+        known: At which states there is a reference, (N,); None at all of them. Elsewhere the
+            reference says nothing.
 
     Raises:
         SeriesError: If a length differs, a value is not finite, or stamps do not increase.
@@ -147,6 +168,7 @@ class JointSeries:
     command_stamps_ns: NDArray[np.int64]
     effort: Numbers
     is_slide: bool = False
+    known: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         if not self.joint:
@@ -157,6 +179,13 @@ class JointSeries:
             raise SeriesError(f"joint {self.joint!r}: no state; at least one is needed")
         for name, stamps in (("position", states), ("reference", states), ("effort", commands)):
             self._store(name, self._samples(name, stamps.size))
+        if self.known is not None:
+            known = self._store("known", _own(self.known, np.bool_))
+            if self.reference.size and known.shape != (states.size,):
+                raise SeriesError(
+                    f"joint {self.joint!r}: known has shape {known.shape}, but the states have "
+                    f"({states.size},)"
+                )
 
     @property
     def has_reference(self) -> bool:
@@ -188,6 +217,29 @@ class JointSeries:
         if not self.has_reference:
             raise SeriesError(f"joint {self.joint!r}: no reference was recorded, hence no error")
         return self.reference - self.position
+
+    @property
+    def referenced(self) -> list[slice]:
+        """Stretches of states at which there is a reference."""
+        if not self.has_reference:
+            return []
+        if self.known is None:
+            return [slice(0, self.position.size)]
+        return [slice(first, end) for first, end in stretches(self.known)]
+
+    def parts(self) -> Iterator[JointSeries]:
+        """Yield the joint in each stretch of states at which there is a reference."""
+        if self.known is None:
+            if self.has_reference:
+                yield self
+            return
+        for each in self.referenced:
+            stamps = self.state_stamps_ns[each]
+            begin = int(np.searchsorted(self.command_stamps_ns, stamps[0]))
+            end = int(np.searchsorted(self.command_stamps_ns, stamps[-1], "right"))
+            arrays = (stamps, self.position[each], self.reference[each])
+            commands = (self.command_stamps_ns[begin:end], self.effort[begin:end])
+            yield JointSeries(self.joint, *arrays, *commands, is_slide=self.is_slide)
 
     def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
         values.setflags(write=False)
@@ -222,6 +274,12 @@ class JointSeries:
             )
         require_finite(where, samples)
         return samples
+
+
+def stretches(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Yield the first index and the one after the last of each run of true flags."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0)).tolist()
+    yield from zip(edges[::2], edges[1::2], strict=True)
 
 
 @dataclass(frozen=True)
@@ -386,8 +444,8 @@ def complete_run(
     )
 
 
-_SMALL_ERROR = 0.05  # an error below this is small for any joint, in [rad]
-_SHARE_OF_RANGE = 0.1  # so is one below this share of the reference's range
+SMALL_ERROR = 0.05  # an error below this is small for any joint, in [rad]
+SHARE_OF_RANGE = 0.1  # so is one below this share of the reference's range
 _SELDOM = 0.1  # a joint follows if its error is small for at least this share of its motion
 _MUCH = 0.05  # of the states' time
 _MOVED = 0.05  # a joint whose position ranges over more than this has moved, in [rad]
@@ -400,10 +458,15 @@ def unfollowed(run: RunSeries) -> dict[str, float]:
         if not series.has_reference:
             continue
         moved = np.flatnonzero(series.reference != series.reference[0])
-        error = np.abs(series.error[moved[0] :] if moved.size else series.error)
+        error, known = np.abs(series.error), series.known
+        if known is None:
+            known = np.ones(error.size, dtype=np.bool_)
+        if moved.size and known[moved[0] :].any():
+            error, known = error[moved[0] :], known[moved[0] :]
+        error = error[known]
         usual_least = float(np.quantile(error, _SELDOM))
         reference_range = float(np.ptp(series.reference))
-        if usual_least > max(_SMALL_ERROR, _SHARE_OF_RANGE * reference_range):
+        if usual_least > max(SMALL_ERROR, SHARE_OF_RANGE * reference_range):
             found[series.joint] = usual_least
     return found
 
@@ -466,6 +529,8 @@ def _lines(run: RunSeries) -> Iterator[str]:
             f"run {run.label!r}: the efforts of {', '.join(partly)} begin after the states or end "
             f"before them, by more than {_MUCH:.0%} of the time: their numbers are of the rest"
         )
+    for line in _without_reference(joints):
+        yield f"run {run.label!r}: {line}"
     idle = [
         series.joint
         for series in run.joints
@@ -477,6 +542,33 @@ def _lines(run: RunSeries) -> Iterator[str]:
             "nobody commanded it, or its driver fills in what it does not measure"
         )
     yield from unfollowed_lines([run])
+
+
+def _span_text(begin: float, end: float) -> str:
+    return f"{begin:.3f} s to {end:.3f} s"
+
+
+def _without_reference(joints: Mapping[str, DataQuality]) -> Iterator[str]:
+    """Yield a line for each way in which references do not cover the states."""
+    found: dict[str, list[str]] = {}
+    held: dict[str, list[str]] = {}
+    for name, each in joints.items():
+        if each.held_before > _MUCH * (each.states.end - each.states.begin):
+            held.setdefault(f"{each.reference_from:.3f} s", []).append(name)
+        if each.without_reference > _MUCH:
+            spans = ", ".join(_span_text(*span) for span in each.reference_spans)
+            text = f"{spans}, and the states from {_span_text(each.states.begin, each.states.end)}"
+            found.setdefault(text, []).append(name)
+    for text, names in held.items():
+        yield (
+            f"the reference of {', '.join(names)} begins at {text}: before it the first position "
+            "counts, at which the joint rested"
+        )
+    for text, names in found.items():
+        yield (
+            f"the reference of {', '.join(names)} is known from {text}: the numbers of the error "
+            "are of this time"
+        )
 
 
 def quality_rows(joint: str, quality: DataQuality) -> Iterator[tuple[object, ...]]:

@@ -12,13 +12,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
-from typing import NamedTuple
 
 from hpid_ros.base.errors import unknown_name
 from hpid_ros.messages.series import SeriesError
 from hpid_ros.metrics.quantities import INDICES, NORMS, PAPER, QUANTITIES, Data, Quantity
 from hpid_ros.metrics.results import (
-    DURATION_WITHIN,
     EVERYTHING,
     NOTHING,
     Difference,
@@ -61,48 +59,6 @@ def run_differences(one: RunIndices, other: RunIndices) -> Iterator[Difference]:
 def _lacks(data: Data, *runs: RunIndices) -> bool:
     """Return whether all joints of a run lack something: there is nothing to compare then."""
     return any(all(data in run.lacking.get(joint, {}) for joint in run.joints) for run in runs)
-
-
-SHORTEST = 0.1  # [s] shorter common times say nothing of whole motions: runs are left as they are
-
-
-class Cut(NamedTuple):
-    """The part of a recording that is common to all."""
-
-    start: float  # [s] its begin since the first state of any joint
-    end: float  # its end, likewise
-    text: str  # the same in words; empty where it is the whole recording
-
-
-def common_cuts(runs: Sequence[RunIndices]) -> tuple[Cut, ...]:
-    """Return the part of each recording to compare; nothing if the whole ones can be.
-
-    Recordings are laid beside each other where their references begin, as recorders are started
-    by hand; where one has none, at their first states.
-    """
-    known = [run.conditions for run in runs if run.conditions is not None]
-    if len(known) < len(runs) or len(runs) < 2:
-        return ()
-    durations = [each.duration for each in known]
-    begins = [each.reference_from for each in known]
-    has_references = all(begin is not None for begin in begins)
-    starts = [begin or 0.0 for begin in begins] if has_references else [0.0] * len(runs)
-    room = min(duration - start for duration, start in zip(durations, starts, strict=True))
-    within = DURATION_WITHIN * max(durations)
-    are_alike = max(durations) - min(durations) <= within and max(starts) - min(starts) <= within
-    if are_alike or room < SHORTEST:
-        return ()
-    where = "its reference begins" if has_references else "its states do"
-    return tuple(
-        Cut(
-            start,
-            start + room,
-            ""
-            if duration - room <= DURATION_WITHIN * room
-            else f"cut to {room:.4g} s of {duration:.4g} s, from {start:.4g} s on, where {where}",
-        )
-        for start, duration in zip(starts, durations, strict=True)
-    )
 
 
 Pair = tuple[float, float]
@@ -171,7 +127,9 @@ def _folded(label: str, runs: Sequence[RunIndices]) -> RunIndices:
         angle_unit=first.angle_unit,
         lacking={joint: merged for joint in first.joints if (merged := _lacking(runs, joint))},
         assumed={data: text for run in reversed(runs) for data, text in run.assumed.items()},
+        against={joint: text for run in reversed(runs) for joint, text in run.against.items()},
         cut=next((run.cut for run in runs if run.cut), ""),
+        shift=first.shift,
         slides=frozenset().union(*(run.slides for run in runs)),
     )
 

@@ -17,7 +17,7 @@ depends neither on the order of the joints nor on numpy's version or SIMD width.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -120,6 +120,16 @@ def root_mean_square(t: ArrayLike, x: ArrayLike) -> float:
     if span == 0.0:
         return abs(float(samples[0]))
     return math.sqrt(square_integral(times, samples) / span)
+
+
+def root_mean_square_of_parts(parts: Sequence[tuple[Numbers, Numbers]]) -> float:
+    """Return the root of the mean square over the times of all parts."""
+    if len(parts) == 1:
+        return root_mean_square(*parts[0])
+    span = math.fsum(float(t[-1] - t[0]) for t, _ in parts)
+    if span == 0.0:
+        return math.sqrt(float(np.mean(np.concatenate([np.square(x) for _, x in parts]))))
+    return math.sqrt(math.fsum(square_integral(*part) for part in parts) / span)
 
 
 def _trapezoid(

@@ -12,7 +12,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.base.errors import (
+    HpidError,
+    RobotDescriptionError,
+    SettingError,
+    require_known,
+    unknown_name,
+)
 from hpid_ros.base.files import load_json
 from hpid_ros.base.names import is_label
 from hpid_ros.control.settings import LoopSettings
@@ -21,7 +27,8 @@ from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, quality_lines
 from hpid_ros.messages.storage import bags_in, custom_data, recorded_slides
-from hpid_ros.metrics.comparison import Comparison, Cut, common_cuts, fold_repeats, mismatches
+from hpid_ros.metrics.alignment import ALIGNMENTS, Cut, RunWindow, cuts_of, window_cuts
+from hpid_ros.metrics.comparison import Comparison, fold_repeats, mismatches
 from hpid_ros.metrics.quantities import (
     INDICES,
     NORMS,
@@ -68,6 +75,11 @@ class Measuring:
             bag tells, if None.
         keeps_series: Whether the recordings stay in memory after their numbers are known, as
             figures and reports need them.
+        align: How several recordings are laid over each other: where their references ``begin``,
+            where these first move (``motion``), or not at all (``none``). ``auto`` is ``begin``;
+            where the references then differ ``motion``, or the shift that fits best, if that makes
+            them one.
+        windows: The part of a recording to compare, by its label, instead.
     """
 
     selection: BagSelection = field(default_factory=BagSelection)
@@ -76,6 +88,11 @@ class Measuring:
     robot: TaskFrame | None = None
     description: RobotDescription | None = None
     keeps_series: bool = True
+    align: str = "auto"
+    windows: Mapping[str, RunWindow] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require_known("alignment", [self.align], ALIGNMENTS)
 
 
 @dataclass(frozen=True)
@@ -134,8 +151,8 @@ def measure_all(
 ) -> list[Measured]:
     """Return the numbers of several recordings, read one after the other.
 
-    Recordings of unlike length are cut to the time that all of them have, unless a window was
-    asked for. A result folder stands for its bags.
+    Recordings of unlike length, or of one motion at unlike times, are cut to what all of them
+    have, unless a window was asked for. A result folder stands for its bags.
     """
     how, tell = how or Measuring(), tell or (lambda what, share: None)
     named = [each if isinstance(each, Source) else Source(Path(each)) for each in bags]
@@ -145,7 +162,27 @@ def measure_all(
         return measured
     if any(each.is_saved for each in sources):
         return measured
-    cuts = common_cuts([run for each in measured for run in each.runs])
+    runs = [run for each in measured for run in each.runs]
+    outlines = [run.conditions.outline for run in runs if run.conditions is not None]
+    known = [each for each in outlines if each is not None]
+    if len(known) < len(runs):
+        return measured
+    labels = [run.label for run in runs]
+    if how.windows:
+        for label in how.windows:
+            if label not in labels:
+                raise SettingError(unknown_name("run", label, labels))
+        cuts = window_cuts(known, [how.windows.get(label) for label in labels])
+        if not cuts:
+            raise SettingError("no time is left in the windows that were asked for")
+        return list(_measured(sources, how, tell, cuts))
+    cuts = cuts_of(known, how.align, labels)
+    if how.align == "motion" and not cuts:
+        still = [label for label, each in zip(labels, known, strict=True) if not each.has_motion]
+        raise SettingError(
+            "runs cannot be laid over each other where their references first move: "
+            + (f"none moves in {', '.join(still)}" if still else "they have no time in common")
+        )
     return list(_measured(sources, how, tell, cuts)) if cuts else measured
 
 
@@ -332,6 +369,8 @@ class SlidingJoints(NamedTuple):
 
     slides: frozenset[str]  # joints that slide; what is not named turns, or nobody knows
     doubts: tuple[str, ...] = ()  # what could not be used, one line each
+    # types by name, of those that a URDF has; of several URDFs the last
+    kinds: Mapping[str, str] = {}
 
 
 def sliding_joints(
@@ -343,17 +382,20 @@ def sliding_joints(
     ``robot_state_publisher`` latches.
     """
     if description is not None:
-        return SlidingJoints(description.slides)
+        return SlidingJoints(description.slides, kinds=description.kinds)
     slides, turning, doubts = set(recorded_slides(custom_data(bag))), set[str](), []
+    kinds: dict[str, str] = {}
     for topic, text in read_robot_descriptions(bag, namespace):
         try:
             robot = RobotDescription.load(text if text.lstrip().startswith("<") else "<robot/>")
         except RobotDescriptionError as error:
             doubts.append(f"{topic} does not tell which joints slide: {error}")
             continue
+        kinds |= robot.kinds
         slides |= robot.slides
         turning |= robot.joints.keys() - robot.slides
-    return SlidingJoints(frozenset(slides - turning), tuple(doubts))
+    kinds = {k: kind for k, kind in kinds.items() if k not in slides or k not in turning}
+    return SlidingJoints(frozenset(slides - turning), tuple(doubts), kinds)
 
 
 def _measured(
@@ -381,9 +423,10 @@ def _of_bag(
     selection = how.selection
     if cut is not None:
         selection = replace(selection, start=cut.start, end=cut.end)
-    series = read_run(source.path, str(source.label), selection=selection, progress=told)
     robot = how.description or (how.robot.description if how.robot else None)
     known = sliding_joints(source.path, robot, selection.namespace)
+    selection = replace(selection, kinds={**known.kinds, **selection.kinds})
+    series = read_run(source.path, str(source.label), selection=selection, progress=told)
     series = series.with_slides(known.slides)
     if how.keeps_series:
         series = replace(series, retunes=read_retunes(source.path))
@@ -392,7 +435,7 @@ def _of_bag(
         limits = dict.fromkeys(series.joint_names, limits.pop(ALL_JOINTS)) | limits
     numbers = run_indices(series, how.cutoff, limits)
     if cut is not None:
-        numbers = replace(numbers, cut=cut.text)
+        numbers = replace(numbers, cut=cut.text, shift=cut.shift)
     hand, unfollowed = _end_effector(how.robot, series)
     parameters = saved_parameters(source.path)
     mislabelled = _mislabelled(str(source.label), parameters)

@@ -158,12 +158,19 @@ def position_of(series: JointSeries) -> Signal:
 
 def reference_of(series: JointSeries) -> Signal:
     """Return a joint's reference, in [rad]; nothing if it has none."""
-    return Signal(series.state_stamps_ns, series.reference) if series.has_reference else NO_SIGNAL
+    return _known(series, series.reference) if series.has_reference else NO_SIGNAL
 
 
 def error_of(series: JointSeries) -> Signal:
     """Return a joint's error, in [rad]; nothing without a reference."""
-    return Signal(series.state_stamps_ns, series.error) if series.has_reference else NO_SIGNAL
+    return _known(series, series.error) if series.has_reference else NO_SIGNAL
+
+
+def _known(series: JointSeries, values: Numbers) -> Signal:
+    """Return values at the states at which there is a reference."""
+    if series.known is None:
+        return Signal(series.state_stamps_ns, values)
+    return Signal(series.state_stamps_ns[series.known], values[series.known])
 
 
 def effort_of(series: JointSeries) -> Signal:

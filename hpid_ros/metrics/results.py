@@ -18,14 +18,23 @@ import numpy as np
 
 from hpid_ros.base.errors import unknown_name
 from hpid_ros.messages.series import (
+    GIVEN,
     HELD,
     HOLD,
     MEASURED,
     NO_EFFORT,
     NO_REFERENCE,
+    NONE,
     JointSeries,
     RunSeries,
     SeriesError,
+)
+from hpid_ros.metrics.alignment import (
+    DURATION_WITHIN,
+    REFERENCE_AT_LEAST,
+    REFERENCE_WITHIN,
+    Outline,
+    outline_of,
 )
 from hpid_ros.metrics.indices import (
     chatter,
@@ -34,7 +43,7 @@ from hpid_ros.metrics.indices import (
     integral_of_absolute,
     itae,
     l2_norm,
-    root_mean_square,
+    root_mean_square_of_parts,
     saturation_share,
     square_integral,
     step_response,
@@ -59,10 +68,7 @@ from hpid_ros.metrics.quantities import (
 
 KNOTS = 33  # points at which each reference is kept
 KNOT_DIGITS = 9
-DURATION_WITHIN = 0.01  # durations, and rates of states, that differ by a lower share are the same
 RATE_WITHIN = 0.05  # by a larger share: rates of other loops, and not of lost states alone
-REFERENCE_WITHIN = 0.02  # references that differ by a lower share of their range are the same
-REFERENCE_AT_LEAST = 1e-3  # [rad] or by less than this
 UNLIKE_KNOTS = 2  # so many points must differ: one may lie in a jump
 
 
@@ -89,7 +95,8 @@ class Conditions:
     clock: str = "header"  # whose time the states have: "header" or "receive"
     # [rad] for each joint that has one, its reference at KNOTS even times
     references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    reference_from: float | None = field(default=None, compare=False)
+    # by what the run is laid over others; not in saved numbers
+    outline: Outline | None = field(default=None, compare=False)
     # of each joint that has efforts: from the first to the last, and their mean period, in [s]
     efforts: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False)
 
@@ -102,14 +109,13 @@ class Conditions:
 
 def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
     states = max(series.state_stamps_ns.size for series in run.joints)
-    began = [each.reference_from for each in run.quality.joints.values()]
     return Conditions(
         duration=run.duration,
         period=run.duration / max(1, states - 1),
         cutoff=cutoff,
         references={each.joint: _knots(each) for each in run.joints if each.has_reference},
         clock=next((each.state_clock for each in run.quality.joints.values()), "header"),
-        reference_from=min((each for each in began if each is not None), default=None),
+        outline=outline_of(run),
         efforts={
             each.joint: (
                 time := float(np.ptp(each.command_time)),
@@ -217,7 +223,11 @@ class RunIndices:
     angle_unit: str = "rad"  # the unit of angles in these numbers, "rad" or "deg"
     lacking: Mapping[str, Mapping[Data, str]] = field(default_factory=dict)
     assumed: Mapping[Data, str] = field(default_factory=dict)
+    # topic and kind of the reference of each joint that has one, see against_text
+    against: Mapping[str, str] = field(default_factory=dict)
     cut: str = ""  # to which part of the recording the numbers were cut; empty if to none
+    # [s] by how much later than in the first recording that part lies, where it was sought
+    shift: float | None = None
     # the joints that are known to slide: in their numbers "rad" reads "m", and "N m" reads "N"
     slides: frozenset[str] = frozenset()
 
@@ -262,7 +272,16 @@ class RunIndices:
         assumed = [f"{data.value}: {text}" for data, text in self.assumed.items()]
         parts = ((data, self.left_out(data)) for data in Data)
         assumed += [f"{data.value}: {text}" for data, text in parts if text]
-        return (*assumed, *([self.cut] if self.cut else ()))
+        return (*self._references(), *assumed, *([self.cut] if self.cut else ()))
+
+    def _references(self) -> Iterator[str]:
+        """Yield a line for each reference that errors were measured against."""
+        joints: dict[str, list[str]] = {}
+        for joint, text in self.against.items():
+            joints.setdefault(text, []).append(joint)
+        for text, names in joints.items():
+            of = f" of {', '.join(names)}" if len(names) < len(self.joints) else ""
+            yield f"error{of} against {text}"
 
     def as_mapping(self) -> dict[str, object]:
         """Return the numbers with their units as plain dicts, ready for JSON."""
@@ -284,12 +303,16 @@ class RunIndices:
             }
         if self.assumed:
             mapping["assumed"] = {data.value: text for data, text in self.assumed.items()}
+        if self.against:
+            mapping["against"] = dict(self.against)
         if self.cut:
             mapping["cut"] = self.cut
+        if self.shift is not None:
+            mapping["shift"] = self.shift
         if self.conditions is not None:
             references = {k: list(v) for k, v in self.conditions.references.items()}
             conditions = {**vars(self.conditions), "references": references}
-            del conditions["reference_from"], conditions["efforts"]
+            del conditions["outline"], conditions["efforts"]
             if self.conditions.odd_efforts:
                 odd = {k: list(v) for k, v in self.conditions.odd_efforts.items()}
                 conditions["efforts"] = odd
@@ -329,7 +352,6 @@ def joint_indices(
     if series.has_effort:
         numbers |= {"ivc": total_variation(u), "iavc": integral_of_absolute(t, u)}
     if series.has_reference:
-        numbers["itae"] = itae(series.time, series.error)
         numbers |= _error_numbers(series)
     if series.has_effort:
         numbers["effort_l2"] = l2_norm(t, u)
@@ -369,7 +391,7 @@ def run_indices(
         squares = (square_integral(s.command_time, s.effort) for s in with_effort)
         norms[EFFORT_L2.key] = math.sqrt(math.fsum(squares))
     if with_reference := [s for s in run.joints if s.has_reference]:
-        squares = (square_integral(s.time, s.error) for s in with_reference)
+        squares = (square_of_error(s) for s in with_reference)
         norms[ERROR_L2.key] = math.sqrt(math.fsum(squares))
     return RunIndices(
         label=run.label,
@@ -379,7 +401,29 @@ def run_indices(
         conditions=conditions_of(run, cutoff),
         lacking=lacking,
         assumed=_assumed(run),
+        against={
+            name: against_text(each.reference)
+            for name, each in run.quality.joints.items()
+            if each.reference not in (NONE, HOLD)
+        },
         slides=run.slides,
+    )
+
+
+def against_text(reference: str) -> str:
+    """Return what an error is measured against, ``/joint_trajectory (trajectory)``.
+
+    Args:
+        reference: As :attr:`DataQuality.reference` names it, ``trajectory /joint_trajectory``.
+    """
+    if reference == GIVEN:
+        return "the trajectory that was given"
+    topics: dict[str, list[str]] = {}
+    for part in reference.split(" and "):
+        kind, _, topic = part.partition(" ")
+        topics.setdefault(kind, []).append(topic)
+    return " and ".join(
+        f"{' and '.join(named)} ({kind})" if any(named) else kind for kind, named in topics.items()
     )
 
 
@@ -430,19 +474,27 @@ def _totals(
 def _error_numbers(series: JointSeries) -> dict[str, float]:
     # A function of its own: of an hour's series the error is not kept beside what comes next.
     t, error = series.time, series.error
-    ise = square_integral(t, error)
+    parts = [(t[each], error[each]) for each in series.referenced]
+    ise = math.fsum(square_integral(*part) for part in parts)
     return {
-        "iae": integral_of_absolute(t, error),
+        "itae": math.fsum(itae(*part) for part in parts),
+        "iae": math.fsum(integral_of_absolute(*part) for part in parts),
         "ise": ise,
-        "rmse": root_mean_square(t, error),
-        "error_max": max(float(error.max()), -float(error.min())),
+        "rmse": root_mean_square_of_parts(parts),
+        "error_max": max(max(float(e.max()), -float(e.min())) for _, e in parts),
         "error_l2": math.sqrt(ise),
     }
 
 
+def square_of_error(series: JointSeries) -> float:
+    """Return the integral of a joint's squared error over all stretches with a reference."""
+    t, error = series.time, series.error
+    return math.fsum(square_integral(t[each], error[each]) for each in series.referenced)
+
+
 def _worst_step(series: JointSeries) -> dict[str, float | None]:
     """Return each number of the steps' responses at its worst; nothing without a step."""
-    responses = [step_response(series, step) for step in find_steps(series)]
+    responses = [step_response(part, step) for part in series.parts() for step in find_steps(part)]
     return {
         quantity.key: max((getattr(each, quantity.key) for each in responses), default=None)
         for quantity in STEP_QUANTITIES
@@ -558,7 +610,9 @@ def _run(label: str, entry: Mapping[str, Any]) -> RunIndices:
         angle_unit=angle_unit,
         lacking=lacking,
         assumed={Data(name): str(text) for name, text in entry.get("assumed", {}).items()},
+        against={str(k): str(v) for k, v in entry.get("against", {}).items()},
         cut=str(entry.get("cut", "")),
+        shift=None if entry.get("shift") is None else _number(entry["shift"]),
         slides=slides,
     )
 

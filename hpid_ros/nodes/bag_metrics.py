@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hpid_ros.base.errors import SettingError, reason_of
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.messages.selection import BagSelection, parse_command_topics
+from hpid_ros.metrics.alignment import ALIGNMENTS
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure, measure_all
 from hpid_ros.metrics.quantities import ANGLE_UNITS, Quantity, find_quantities
@@ -85,6 +86,15 @@ class MetricsParameters(Record):
     command_topics: tuple[str, ...] | None = quantity(
         "JOINT=TOPIC[INDEX] of efforts", default=None
     )
+    sender: str = quantity(
+        "Sender of the states, where several send the same joints: number, rate (50Hz) or layout",
+        default="",
+    )
+    align: str = quantity(
+        f"How runs are laid over each other: {', '.join(ALIGNMENTS)}",
+        default="auto",
+        choices=ALIGNMENTS,
+    )
     robot_description: str = quantity(
         "URDF that says which joints slide, in m and N; else the bags say it", default=""
     )
@@ -96,6 +106,7 @@ class MetricsParameters(Record):
             commands=self.commands or None,
             command_topics=parse_command_topics(self.command_topics or ()),
             reference=self.reference,
+            sender=self.sender or None,
         )
 
 
@@ -120,6 +131,7 @@ class BagMetrics(executor.ClosingNode):
             asked.selection(),
             description=RobotDescription.load(robot_source(robot)) if robot else None,
             keeps_series=False,
+            align=asked.align,
         )
         self._format, self._units = asked.format, asked.units
         self._paper = asked.indices == "paper"

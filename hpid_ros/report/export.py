@@ -16,6 +16,7 @@ from hpid_ros.metrics.quantities import (
     PAPER,
     QUANTITIES,
     STEADY_STATE_ERROR,
+    Data,
     Fold,
     Quantity,
 )
@@ -128,7 +129,7 @@ def _names(totals: Sequence[EngineTotal]) -> tuple[str, ...]:
 
 CSV_COLUMNS = (
     *("run", "scope", "joint", "quantity", "unit", "value", "ratio"),
-    *("repeats", "first_quartile", "third_quartile", "note"),
+    *("repeats", "first_quartile", "third_quartile", "note", "against"),
 )
 
 _LATEX_SPECIAL = str.maketrans(
@@ -156,7 +157,8 @@ def table_csv(comparison: Comparison) -> str:
     the first; ``value`` is empty where it is not defined; ``ratio`` is the value over the
     baseline's (``inf`` against zero) and empty in the baseline's own rows; repeats and
     quartiles are empty for a single run; ``note`` says why value or ratio are not defined, and
-    what stands in for a recorded reference or commanded efforts.
+    what stands in for a recorded reference or commanded efforts; ``against`` has kind and topic of
+    the reference, of numbers of the error.
     """
     rows: list[tuple[object, ...]] = [CSV_COLUMNS]
     for run in comparison.runs:
@@ -183,7 +185,26 @@ def _csv_row(
         spread = (run.spread.repeats, *(_plain(value) for value in quartiles))
     value, unit = _plain(run.value(quantity, joint)), comparison.unit(quantity, joint)
     note = "; ".join(_notes(comparison, run, joint, quantity))
-    return (run.label, scope, joint or "", quantity.key, unit, value, ratio, *spread, note)
+    against = _against(run, joint) if quantity.needs is Data.REFERENCE else ""
+    return (
+        run.label,
+        scope,
+        joint or "",
+        quantity.key,
+        unit,
+        value,
+        ratio,
+        *spread,
+        note,
+        against,
+    )
+
+
+def _against(run: RunIndices, joint: str | None) -> str:
+    """Return what the error of a joint, or of all, was measured against."""
+    if joint is not None:
+        return run.against.get(joint, "")
+    return "; ".join(dict.fromkeys(run.against.values()))
 
 
 def _notes(

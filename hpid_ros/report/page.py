@@ -312,8 +312,14 @@ def data_quality(runs: Sequence[RunSeries]) -> Iterator[Block]:
         yield Heading(f"Recording of {run.label}")
         for line in quality.lines:
             yield Paragraph(line)
-        references = {each.reference for each in quality.joints.values()}
-        yield Paragraph(f"Reference: {', '.join(sorted(references))}.")
+        references: dict[str, list[str]] = {}
+        for joint, each in quality.joints.items():
+            references.setdefault(each.reference, []).append(joint)
+        listed = (
+            text if len(references) == 1 else f"{text} ({', '.join(joints)})"
+            for text, joints in sorted(references.items())
+        )
+        yield Paragraph(f"Reference: {'; '.join(listed)}.")
         rows = [row for joint, each in quality.joints.items() for row in quality_rows(joint, each)]
         yield PlainTable.of(f"Recording of {run.label}", QUALITY_COLUMNS, rows)
 

@@ -391,6 +391,11 @@ class RobotDescription:
         """Names of the joints that slide: their units are m and N."""
         return frozenset(name for name, joint in self.joints.items() if joint.is_slide)
 
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Types of the joints by name."""
+        return {name: joint.type for name, joint in self.joints.items()}
+
     def start(self, given: Mapping[str, float]) -> dict[str, float]:
         """Return positions that were given, and the nearest of joints that cannot be at 0."""
         nearest = {name: min(max(0.0, j.lower), j.upper) for name, j in self.joints.items()}

@@ -314,7 +314,9 @@ def _read(
     recording = read_run(
         bag,
         RECORDED,
-        selection=BagSelection(separates_runs=True, every=True),  # which are no one motion
+        selection=BagSelection(  # of runs that are no one motion
+            separates_runs=True, every=True, kinds=robot.description.kinds
+        ),
         progress=lambda share: raise_if_interrupted(),
     ).with_slides(robot.description.slides)
     loops: list[LoopSettings] = []

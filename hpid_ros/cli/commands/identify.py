@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -60,14 +61,15 @@ def _identified(options: argparse.Namespace, robot: GivenRobot | None) -> RobotI
     # Other joints' efforts count where the robot is known, whichever are asked for.
     asked = options.joint or None
     selection = bag_selection(options, None if robot else asked, is_identified=True)
+    known = sliding_joints(options.bag, None, selection.namespace)
+    kinds = {**known.kinds, **(robot.description.kinds if robot else {})}
+    selection = replace(selection, kinds=kinds)
     with reading() as tell:
         told = partial(tell, options.bag.name)
         recording = read_run(options.bag, _LABEL, selection=selection, progress=told)
     if asked is not None:
         asked = NamePatterns(asked).chosen("joint", recording.joint_names, SettingError)
-    recording = recording.with_slides(
-        sliding_joints(options.bag, None, selection.namespace).slides
-    )
+    recording = recording.with_slides(known.slides)
     base = base_motion(options.bag, selection.namespace or "")
     return identify_robot(
         recording, robot, method, asked, str(options.urdf), str(options.bag), base

@@ -27,13 +27,13 @@ from hpid_ros.base.errors import BagError
 from hpid_ros.control import Gains, JointLoop
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.columns import JointSamples
-from hpid_ros.messages.run import (
+from hpid_ros.messages.references import (
     ReferenceEvent,
-    read_run,
     sample_events,
     sample_setpoints,
     setpoint_events,
 )
+from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection, choose_topics
 from hpid_ros.messages.series import Losses
 from hpid_ros.motion import Column, JointTrajectory, Knot, TrajectoryPoint
@@ -138,7 +138,7 @@ def with_references(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     ("source", "reference"),
     [
-        ("auto", [1.0, 9.0, 9.0, 5.0, 5.0]),
+        ("auto", [1.0, 1.0, 1.5, 2.0, 2.0]),
         ("trajectory", [1.0, 9.0, 9.0, 9.0, 9.0]),
         ("setpoint", [1.0, 1.0, 1.0, 5.0, 5.0]),
         ("sampled", [1.0, 1.0, 1.5, 2.0, 2.0]),
@@ -155,8 +155,7 @@ def test_references_come_from_where_they_are_asked_from(with_references, source,
     quality = run.quality.joints
     assert quality["b"].reference == ("hold" if source == "hold" else "none")
     if source == "auto":
-        kind = "trajectory /joint_trajectory and setpoint /a_controller/setpoint"
-        assert quality["a"].reference == kind
+        assert quality["a"].reference == "sampled /a_controller/reference"
         assert [quality[joint].reference_from for joint in "ab"] == [1.0, None]
 
 
@@ -180,7 +179,7 @@ def test_a_window_cuts_states_and_commands_but_not_the_reference_before(with_ref
     run = read(with_references, start=2.0, end=3.0)
     a = run.joints[0]
     assert a.state_stamps_ns.tolist() == a.command_stamps_ns.tolist() == [3 * S, 4 * S]
-    assert a.reference.tolist() == [9.0, 5.0]
+    assert a.reference.tolist() == [1.5, 2.0]
     assert run.quality.joints["a"].states.begin == 2.0
     assert run.losses["a"] == Losses(0, 0)
     with pytest.raises(BagError, match=r"no joint has a state from 7.0 s to 9.0 s"):

@@ -17,11 +17,11 @@ from hpid_ros.messages.series import (
     RecordingQuality,
     SeriesError,
 )
+from hpid_ros.metrics.alignment import common_cuts, outline_of
 from hpid_ros.metrics.comparison import (
     Comparison,
     Verdict,
     answer,
-    common_cuts,
     fold_repeats,
     ratio,
     verdict,
@@ -288,22 +288,22 @@ def test_an_unlike_cutoff_spoils_the_chatter_alone_and_a_few_lost_states_nothing
 
 
 def test_recordings_are_cut_to_the_time_that_all_have_from_where_their_references_begin():
-    def starts(label, duration, begin):
+    def starts(duration, begin):
         quality = RecordingQuality(joints={"a": DataQuality(reference_from=begin)})
-        return run_indices(recording(label, duration=duration, quality=quality))
+        return outline_of(recording("run", duration=duration, quality=quality))
 
-    long, short = starts("PID", 17.7, 2.0), starts("hPID", 4.5, 0.5)
+    long, short = starts(17.7, 2.0), starts(4.5, 0.5)
     (first, second) = common_cuts([long, short])
     assert first[:2] == pytest.approx((2.0, 6.0))
     assert second[:2] == pytest.approx((0.5, 4.5))
     assert first.text == "cut to 4 s of 17.7 s, from 2 s on, where its reference begins"
-    assert common_cuts([long, starts("b", 17.7, 2.0)]) == ()
-    assert len(common_cuts([long, starts("b", 17.7, 5.0)])) == 2
-    without = common_cuts([long, starts("b", 4.0, None)])
+    assert common_cuts([long, starts(17.7, 2.0)]) == ()
+    assert len(common_cuts([long, starts(17.7, 5.0)])) == 2
+    without = common_cuts([long, starts(4.0, None)])
     assert [cut.start for cut in without] == [0.0, 0.0]
     assert without[0].text.endswith("from 0 s on, where its states do")
     assert without[1].text == ""
-    assert common_cuts([long, starts("b", 4.0, 3.99)]) == ()  # nothing to speak of in common
+    assert common_cuts([long, starts(4.0, 3.99)]) == ()  # nothing to speak of in common
     assert common_cuts([long]) == ()
 
 

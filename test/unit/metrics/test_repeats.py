@@ -99,9 +99,9 @@ def test_tables_and_files_show_the_number_of_repeats_and_the_quartiles():
     assert "quartiles" in text
     rows = [line.split(",") for line in table_csv(comparison).splitlines()]
     low, high = folded[0].spread.quartiles[None]["ivc"]
-    assert rows[0][-4:] == ["repeats", "first_quartile", "third_quartile", "note"]
-    assert ["3", repr(low), repr(high), ""] in [row[-4:] for row in rows]
-    assert all(row[-4:] == ["", "", "", ""] for row in rows if row[0] == "hPID")
+    assert rows[0][-5:-1] == ["repeats", "first_quartile", "third_quartile", "note"]
+    assert ["3", repr(low), repr(high), ""] in [row[-5:-1] for row in rows]
+    assert all(row[-5:-1] == ["", "", "", ""] for row in rows if row[0] == "hPID")
     assert "PID (3)" in table_latex(comparison)
 
 
