@@ -20,7 +20,10 @@ URDF = """<robot name="arm"><link name="base"/>
 
 
 def test_an_arm_falls_neither_before_its_controller_comes_nor_after_a_reset(harness, tmp_path):
-    """As it comes out of the box: no parameter says that the robot is simulated."""
+    """As it comes out of the box: no parameter says that the robot is simulated.
+
+    Slowly and with a long timeout: where a busy machine stands still, arms do fall.
+    """
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(URDF)
     robot = {"description": str(urdf), "fixed_base": True, "initial_positions": {"elbow": START}}
@@ -31,7 +34,7 @@ def test_an_arm_falls_neither_before_its_controller_comes_nor_after_a_reset(harn
     bridge = harness.processes.start(
         "mujoco_bridge",
         "mujoco_bridge",
-        ros_arguments(world_file=tmp_path / "world.yaml", mode="realtime"),
+        ros_arguments(world_file=tmp_path / "world.yaml", mode="realtime", real_time_factor=0.25),
     )
     harness.wait(lambda: "waiting" in bridge.log.read_text(), what="a bridge that waits")
     controller = harness.processes.start(
@@ -41,15 +44,11 @@ def test_an_arm_falls_neither_before_its_controller_comes_nor_after_a_reset(harn
             joint="elbow",
             law="pid",
             robot_description=urdf,
+            state_timeout=1.0,
             **{"gains__p": 200.0, "gains__i": 400.0, "gains__d": 20.0, "control_period": 0.004},
         ),
     )
     harness.wait(lambda: len(seen) > 50, what="states")
-    print(
-        [(round(e.position[0], 3), e.effort) for e in seen[:60:6]],
-        bridge.log.read_text(),
-        controller.log.read_text(),
-    )
     assert max(abs(each.position[0] - START) for each in seen) < 0.05
 
     setpoint = harness.node.create_publisher(
@@ -65,7 +64,7 @@ def test_an_arm_falls_neither_before_its_controller_comes_nor_after_a_reset(harn
         harness.wait(
             lambda before=before: (
                 min(each.stamp_ns for each in seen[before:] or seen) < 1e9
-                and len(seen) > before + 300
+                and len(seen) > before + 150
             ),
             what="states after the reset",
         )

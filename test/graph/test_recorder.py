@@ -206,6 +206,7 @@ def test_a_bridge_that_records_has_every_state_and_ends_when_its_bag_is_gone(har
         topics="[joint_commands, joint_states]",
         robot_description="urdf/mobile_manipulator.urdf",
         mode="realtime",
+        wait_for_publishers=0,
     )
     start = harness.processes.start
     bridge = start("bridge", "mujoco_bridge", arguments, is_renamed=False)
