@@ -55,9 +55,9 @@ $(VENV)/.live-installed: $(VENV)/.installed
 play: $(VENV)/.live-installed
 	$(BIN)/hpid play $(ARGS)
 
-# Each file on one of so many processes, the long ones first; graphs have domains of their own. More
-# than there are cores: half of the time a test of nodes waits.
-JOBS ?= 4
+# Each file on one of so many processes; graphs have domains of their own. More processes
+# than cores: half of the time a test of nodes waits (test/conftest.py spreads them).
+JOBS ?= 5
 SPREAD = -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 PYTEST = $(BIN)/python -m pytest $(PROFILE)
 

@@ -6,6 +6,7 @@ import signal
 from collections import Counter
 from contextlib import contextmanager
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ FAULT = "fault"  # a property of a test: what is counted, and how many more
 BROWSER_REQUIRED = "HPID_BROWSER_REQUIRED"  # set by CI, which has installed one
 HUNG = 300.0  # [s] beyond a test's timeout: what that could not end waits outside of Python
 TESTS = Path(__file__).parent
+WAITING = ("field", "graph")  # folders of tests that wait half of their time
 
 
 @pytest.fixture
@@ -105,6 +107,17 @@ def pytest_collection_modifyitems(items):
         item.add_marker(item.path.relative_to(TESTS).parts[0])
         if "faults" in item.fixturenames:
             item.add_marker("faults")
+    items[:] = spread(items)
+
+
+def spread(items):
+    """Order files so that those whose tests wait for nodes lie among those that compute."""
+    files = {path: list(own) for path, own in groupby(items, key=lambda item: item.path)}
+    places = {}
+    for waits in (True, False):
+        own = [path for path in files if (path.relative_to(TESTS).parts[0] in WAITING) == waits]
+        places |= {path: place / len(own) for place, path in enumerate(own)}
+    return [item for path in sorted(files, key=places.get) for item in files[path]]
 
 
 @pytest.hookimpl(wrapper=True, trylast=True)

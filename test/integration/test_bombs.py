@@ -25,6 +25,7 @@ from hpid_ros.messages.run import read_run
 from hpid_ros.messages.storage import PARAMETERS
 from hpid_ros.messages.writer import BagWriter
 
+pytestmark = pytest.mark.faults
 zstd = zstd_library()
 MIB = 1 << 20
 MAGIC = b"\x89MCAP0\r\n"

@@ -152,6 +152,7 @@ def test_a_reader_that_has_read_enough_is_no_error(arguments, read):
 
 
 @needs_bullet
+@pytest.mark.faults
 def test_a_reader_that_has_read_enough_costs_no_result(experiment_file, tmp_path):
     file, folder = experiment_file(duration=0.05), tmp_path / "r"
     command = ["compare", str(file), "--in-process", "--engine", "both", "-o", str(folder)]
