@@ -9,7 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError
-from hpid_ros.messages.bounds import LIVE, RECORDED
+from hpid_ros.base.files import share_folder
+from hpid_ros.messages.bounds import (
+    GOALS_KEPT,
+    LENGTH,
+    LIVE,
+    MOST_DIMENSIONS,
+    MOST_NUMBERS,
+    RECORDED,
+    require_count,
+    require_size,
+)
 from hpid_ros.messages.joint_state import (
     EffortReader,
     GroupReader,
@@ -147,6 +157,33 @@ def test_what_a_node_takes_is_bounded_and_a_recording_is_not():
     with pytest.raises(MessageError, match=f"may have {LIVE.points} points, not"):
         decode_trajectory(points)
     assert len(decode_trajectory(points, RECORDED).times_ns) == LIVE.points + 1
+
+
+def test_as_many_as_allowed_are_taken():
+    raw = head([f"j{k}" for k in range(LIVE.names)])
+    raw += bytes(-len(raw) % 4 + 12)
+    assert len(decode_joint_state(raw).names) == LIVE.names
+    assert len(decode_trajectory(without_numbers(LIVE.points, 0)).times_ns) == LIVE.points
+    require_size("JointState", LIVE.size)
+    require_count("JointState", "names", 3, LENGTH, 12)
+    for count, left, shown in ((4, 12, 12), (1, 0, 0), (1, -3, 0)):
+        with pytest.raises(MessageError, match=f"hold {count} names in its last {shown} bytes"):
+            require_count("JointState", "names", count, LENGTH, left)
+
+
+def test_the_bounds_are_those_of_the_documentation():
+    text = (share_folder() / "docs" / "security.md").read_text()
+    for shown in (
+        f"{LIVE.size >> 20} MiB, {_spaced(LIVE.names)} names",
+        f"{_spaced(LIVE.points)} points, {_spaced(LIVE.mixed_points)} if",
+        f"1000, {GOALS_KEPT >> 20} MiB in",
+        f"{MOST_NUMBERS} numbers, {MOST_DIMENSIONS} dimensions of",
+    ):
+        assert shown in text
+
+
+def _spaced(number):
+    return f"{number:,}".replace(",", " ")
 
 
 def test_a_long_name_is_cut_in_a_line():
