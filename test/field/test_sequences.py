@@ -3,16 +3,19 @@
 ros2_controllers#2607 and #2491, moveit2#287, moveit#2375; #2401 and #2419 for what starts later.
 """
 
+import math
+
 import numpy as np
 import pytest
 from harness.examples import examples
 from harness.groups import SECOND, SimulatedGroup, at_rest, goal
 from harness.loops import pure_loop
-from harness.streams import SmoothMotion, Stream, anything, draws, played
+from harness.streams import BEGIN, SmoothMotion, Stream, anything, draws, played
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hpid_ros.control.following import Following
+from hpid_ros.control.limits import MotionBounds, MotionLimits
 from hpid_ros.motion import Column, Knot
 from hpid_ros.nodes.parts.goals import GoalError, JointFacts, ResultCode
 
@@ -74,6 +77,41 @@ def test_beyond_what_was_given_the_reference_goes_as_far_as_the_velocities_expla
     beyond = 1.0 + 0.36 * (1.0 + takeover_time)  # splines of a second, and an offset
     for time, position, _ in played(following, arrivals, 0.001, 2.0, takeover_time):
         assert abs(position) <= beyond, (seed, time)
+
+
+@given(SEEDS, st.sampled_from([0.05, 0.2, 0.5]), st.integers(-3, 3))
+@examples(2)
+def test_a_joint_that_has_turned_round_follows_as_one_that_has_not(seed, takeover_time, rounds):
+    draw = draws(seed)
+    begin, arrivals = draw.uniform(-1.0, 1.0), list(anything(draw, 2.0, speed=1.0))
+    takeovers = {round(draw.uniform(0.0, 2.0), 3): draw.uniform(-1.0, 1.0) for _ in range(3)}
+
+    def reference(offset, turn):
+        following = Following()
+        following.turn = following.encoder_turn = turn
+        following.stand(begin + offset)
+        for time, *state in played(following, arrivals, 0.001, 2.0, takeover_time):
+            if (position := takeovers.get(round(time, 3))) is not None:
+                stamp_ns = round((BEGIN + time) * SECOND)
+                following.take_over(stamp_ns, position + offset, takeover_time, None)
+            yield state[0]
+
+    offset = rounds * math.tau
+    for turned, other in zip(reference(offset, math.tau), reference(0.0, 0.0), strict=True):
+        assert turned == pytest.approx(other + offset, abs=1e-6), seed
+
+
+def test_at_a_stop_the_reference_rests():
+    limits = MotionLimits(MotionBounds(-0.5, 0.5, 3.0, 0.1, 20.0, 10.0, math.inf, -9.0, 9.0))
+    following = Following()
+    following.stand(0.0)
+    knots = Knot(0, 0.0, 0.0, 0.0), Knot(SECOND, 1.03, 0.0, 0.0)
+    following.follow(Column("elbow", knots, SECOND))
+    for k in range(1200):
+        position, velocity, acceleration = following.sample(SECOND + k * MS, 0.2, limits)
+        if position == 0.5:
+            assert (velocity, acceleration) == (0.0, 0.0)
+    assert position == 0.5
 
 
 @given(SEEDS)
