@@ -27,6 +27,7 @@ from hpid_ros.messages.joint_state import (
     joint_state_layout,
 )
 from hpid_ros.messages.series import StampQuality
+from hpid_ros.messages.spill import Kept, Spill
 
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
@@ -336,29 +337,141 @@ def carried(
 _LAYOUTS_AT_MOST = 64
 """Layouts of the same joints that are told apart; who has more sends none twice."""
 
+_LAYOUTS_KNOWN = 8  # of a topic, which need not be learned again
+
 _PROBED = 1000  # numbers of a joint in a probe
 
 _GroupKey = tuple[tuple[str, ...], tuple[tuple[int, bytes], ...]]
 """Joints, and the bytes that all messages of a layout share."""
 
+_Times = tuple[Integers, Integers, Integers]
+"""Stamps, log times and places of some messages."""
+
+
+class Alike(NamedTuple):
+    """Messages of a batch that share a layout."""
+
+    layout: Layout
+    rows: Words  # their bytes, see Layout, (n, words)
+    times: _Times
+
+
+class Layouts:
+    """Tells the messages of a topic apart by their layouts, once for all of its streams."""
+
+    def __init__(self, type: str, spill: Spill | None = None) -> None:
+        self._learn = LAYOUTS[type]
+        self._known: list[Layout] = []
+        self._batch: TopicBatch | None = None
+        self._found: list[Alike] = []
+        self._joined: dict[tuple[int, ...], list[Integers]] = {}
+        self.spill = Spill() if spill is None else spill
+        self.message_count = 0
+        self.undecodable = 0
+        self.first_failure = ""
+
+    def of(self, batch: TopicBatch) -> list[Alike]:
+        """Return the messages of a batch by layout, without those that are not of the type."""
+        if batch is not self._batch:
+            self._batch = batch
+            self.message_count += len(batch.starts)
+            self._found = [
+                each
+                for size in np.unique(batch.sizes).tolist()
+                for each in self._of_size(batch.picked(batch.sizes == size), size)
+            ]
+        return self._found
+
+    def joined(self, parts: Sequence[_Times]) -> list[Integers]:
+        """Return times of messages one after the other: streams of the same ones share them."""
+        key = tuple(id(each) for each in parts)
+        if key not in self._joined:
+            self._joined[key] = [np.concatenate(each) for each in zip(*parts, strict=True)]
+        return self._joined[key]
+
+    def _of_size(self, batch: TopicBatch, size: int) -> Iterator[Alike]:
+        words = -(-(size + ENCAPSULATION) // WORD)
+        rows = gather_words(batch.buffer, batch.starts - ENCAPSULATION, words)
+        is_left = np.ones(len(rows), dtype=np.bool_)
+        while is_left.any():
+            left = np.flatnonzero(is_left)
+            first = self._learned(batch, int(left[0]))
+            if first is None:
+                is_left[left[0]] = False
+                continue
+            masked = (rows if len(left) == len(rows) else rows[left]) & first.mask
+            if (masked == masked[0]).all():  # nearly always
+                yield self._alike(first, rows, left, batch)
+                return
+            for which in _equal_rows(masked):
+                here = left[which]
+                own = first if here[0] == left[0] else self._learned(batch, int(here[0]))
+                if own is None:
+                    is_left[here[0]] = False
+                elif np.array_equal(own.mask, first.mask):  # else its numbers lie elsewhere
+                    is_left[here] = False
+                    yield self._alike(own, rows, here, batch)
+
+    def _alike(self, layout: Layout, rows: Words, which: Integers, batch: TopicBatch) -> Alike:
+        if len(which) < len(rows):
+            rows = rows[which]
+        stamps_ns = layout.stamps_ns(rows)
+        return Alike(layout, rows, (stamps_ns, batch.log_times_ns[which], batch.places[which]))
+
+    def _learned(self, batch: TopicBatch, index: int) -> Layout | None:
+        """Return the layout of one message; None if it is not of the type."""
+        raw = batch.raw(index)
+        for known in self._known:
+            if known.matches(raw):
+                return known
+        try:
+            layout = self._learn(raw)
+        except MessageError as error:
+            self.undecodable += 1
+            self.first_failure = self.first_failure or str(error)
+            return None
+        self._known = [layout, *self._known[: _LAYOUTS_KNOWN - 1]]
+        return layout
+
 
 class _Group:
     """Messages of one layout, which carry numbers of the same joints, whose times these share."""
 
-    def __init__(self, key: _GroupKey, joints: tuple[str, ...], text: str) -> None:
-        self.key, self.joints, self.text = key, joints, text
-        self.times: list[tuple[Integers, Integers, Integers]] = []
-        self.values: dict[str, list[Numbers]] = {joint: [] for joint in joints}
+    def __init__(self, key: _GroupKey, joints: Sequence[str], text: str, of: Layouts) -> None:
+        self.key, self.text = key, text
+        self.rows = {joint: row for row, joint in enumerate(joints)}
+        self._of, self._times = of, list[_Times]()
+        self._blocks: list[tuple[int, Kept]] = []  # numbers of messages and of their joints
+
+    def add(self, times: _Times, numbers: Numbers) -> None:
+        """Add messages: their times, and the numbers of each joint, (joints, n)."""
+        self._times.append(times)
+        self._blocks.append((numbers.shape[1], self._of.spill.keep(numbers)))
 
     @cached_property
     def clock(self) -> list[Integers]:
-        """Stamps, log times and places."""
-        return [np.concatenate(each) for each in zip(*self.times, strict=True)]
+        """Stamps, log times and places; asked for when all messages were added."""
+        joined, self._times = self._of.joined(self._times), []
+        return joined
 
     def samples(self, joint: str) -> JointSamples:
         """Return one joint's samples."""
         stamps_ns, log_times_ns, places = self.clock
-        return JointSamples(stamps_ns, log_times_ns, places, np.concatenate(self.values[joint]))
+        values = np.empty(len(places))
+        begin = 0
+        for count, kept in self._blocks:
+            self._of.spill.copy_row(kept, self.rows[joint], values[begin : begin + count])
+            begin += count
+        return JointSamples(stamps_ns, log_times_ns, places, values)
+
+    def probes(self, joint: str) -> Iterator[Numbers]:
+        """Yield some numbers of a joint: from the begin, the middle and the end."""
+        for at in sorted({0, len(self._blocks) // 2, len(self._blocks) - 1}):
+            count, kept = self._blocks[at]
+            values = np.empty(count)
+            self._of.spill.copy_row(kept, self.rows[joint], values)
+            middle = max(0, (count - _PROBED) // 2)
+            yield values[middle : middle + _PROBED]
 
 
 _INTERFACES = frozenset({"position", "velocity", "acceleration", "effort"})
@@ -371,13 +484,14 @@ class JointStream:
 
     def __init__(
         self,
-        type: str,
+        layouts: Layouts,
         field: str,
         joints: Container[str] | None = None,
         elements: Mapping[int, str] | None = None,
     ) -> None:
-        self._learn = LAYOUTS[type]
+        self._layouts = layouts
         self._field, self._joints, self._elements = field, joints, elements
+        self._last: tuple[Layout, dict[str, int]] | None = None  # layout, and its columns
         self._groups: dict[_GroupKey, _Group] = {}
         self._left_out: dict[str, Integers] = {}  # places of the messages that do not count
         self._of: dict[str, list[_Group]] = {}  # those that have numbers of a joint
@@ -386,14 +500,23 @@ class JointStream:
         self.repeated: dict[str, None] = {}  # joints that one message names several times
         # messages by the number of their names and of their numbers, where these differ
         self.unequal: Counter[tuple[int, int]] = Counter()
-        self.message_count = 0
-        self.undecodable = 0
-        self.first_failure = ""
+
+    @property
+    def message_count(self) -> int:
+        return self._layouts.message_count
+
+    @property
+    def undecodable(self) -> int:
+        """How many messages are not of the topic's type."""
+        return self._layouts.undecodable
+
+    @property
+    def first_failure(self) -> str:
+        return self._layouts.first_failure
 
     def add(self, batch: TopicBatch) -> None:
-        self.message_count += len(batch.starts)
-        for size in np.unique(batch.sizes).tolist():
-            self._add_size(batch.picked(batch.sizes == size), size)
+        for each in self._layouts.of(batch):
+            self._keep(each)
 
     def joints(self) -> frozenset[str]:
         return frozenset(self._of)
@@ -407,8 +530,8 @@ class JointStream:
         parts = []
         for group in self._of.pop(joint, ()):
             parts.append(group.samples(joint))
-            del group.values[joint]
-            if not group.values:
+            del group.rows[joint]
+            if not group.rows:
                 del self._groups[group.key]
         return self._joined(joint, parts)
 
@@ -419,10 +542,7 @@ class JointStream:
     def probes(self, joint: str) -> Iterator[Numbers]:
         """Yield some of the numbers of a joint: from the begin, the middle and the end."""
         for group in self._of.get(joint, ()):
-            chunks = group.values[joint]
-            for at in sorted({0, len(chunks) // 2, len(chunks) - 1}):
-                middle = max(0, (len(chunks[at]) - _PROBED) // 2)
-                yield chunks[at][middle : middle + _PROBED]
+            yield from group.probes(joint)
 
     def shared(self) -> Iterator[tuple[tuple[str, ...], list[tuple[str, list[Integers]]]]]:
         """Yield joints that the same messages carry, and these by layout.
@@ -453,40 +573,15 @@ class JointStream:
             return samples
         return samples.picked(np.lexsort((places, log_times)))
 
-    def _add_size(self, batch: TopicBatch, size: int) -> None:
-        words = -(-(size + ENCAPSULATION) // WORD)
-        rows = gather_words(batch.buffer, batch.starts - ENCAPSULATION, words)
-        is_left = np.ones(len(rows), dtype=np.bool_)
-        while is_left.any():
-            left = np.flatnonzero(is_left)
-            first = self._learned(batch, int(left[0]))
-            if first is None:
-                is_left[left[0]] = False
-                continue
-            for which in _equal_rows(rows[left] & first.mask):
-                here = left[which]
-                own = first if here[0] == left[0] else self._learned(batch, int(here[0]))
-                if own is None:
-                    is_left[here[0]] = False
-                elif np.array_equal(own.mask, first.mask):  # else its numbers lie elsewhere
-                    is_left[here] = False
-                    self._keep(own, rows, here, batch)
-
-    def _learned(self, batch: TopicBatch, index: int) -> Layout | None:
-        """Return the layout of one message; None if it is not of the type."""
-        try:
-            return self._learn(batch.raw(index))
-        except MessageError as error:
-            self.undecodable += 1
-            self.first_failure = self.first_failure or str(error)
-            return None
-
-    def _keep(self, layout: Layout, rows: Words, which: Integers, batch: TopicBatch) -> None:
+    def _keep(self, alike: Alike) -> None:
         """Append the numbers of messages of one layout to their group."""
-        columns = self._columns(layout)
+        layout = alike.layout
+        if self._last is None or self._last[0] is not layout:
+            self._last = layout, self._columns(layout)
+        columns = self._last[1]
         length = layout.fields[self._field].length if self._field in layout.fields else 0
         if self._elements is None and length not in (0, len(layout.names)):
-            self.unequal[len(layout.names), length] += len(which)
+            self.unequal[len(layout.names), length] += len(alike.rows)
         if not columns:
             return
         key: _GroupKey = tuple(columns), layout.fixed
@@ -495,15 +590,14 @@ class JointStream:
             key = tuple(columns), ()
             group = self._groups.get(key)
         if group is None:
-            self._groups[key] = group = _Group(key, tuple(columns), layout.text)
+            group = _Group(key, tuple(columns), layout.text, self._layouts)
+            self._groups[key] = group
             for joint in columns:
                 self._of.setdefault(joint, []).append(group)
-        stamps = layout.stamps_ns(rows, which)
-        group.times.append((stamps, batch.log_times_ns[which], batch.places[which]))
-        for joint, index in columns.items():
-            group.values[joint].append(layout.column(rows, self._field, index)[which])
+        numbers = layout.columns(alike.rows, self._field, list(columns.values()))
+        group.add(alike.times, numbers)
 
-    def _columns(self, layout: Layout) -> Mapping[str, int]:
+    def _columns(self, layout: Layout) -> dict[str, int]:
         """Return which wanted joint is at which place of the field."""
         length = layout.fields[self._field].length if self._field in layout.fields else 0
         if self._elements is not None:

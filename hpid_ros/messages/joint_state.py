@@ -217,23 +217,26 @@ class Layout:
             mask[begin : begin + len(segment)] = 0xFF
         return mask.view("<u8")
 
-    def stamps_ns(self, rows: Words, which: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the header stamps of some rows of this layout, (n,), in [ns]; zero without."""
+    def stamps_ns(self, rows: Words) -> NDArray[np.int64]:
+        """Return the header stamps of rows of this layout, (n,), in [ns]; zero without."""
         if self.stamp is None:
-            return np.zeros(len(which), dtype=np.int64)
+            return np.zeros(len(rows), dtype=np.int64)
         # A header is the first field, so that its stamp is one whole word of the row.
-        words = np.ascontiguousarray(rows[:, (self.stamp + ENCAPSULATION) // WORD][which])
+        words = np.ascontiguousarray(rows[:, (self.stamp + ENCAPSULATION) // WORD])
         stamps = words.view(f"{self.order}i4")[::2].astype(np.int64)
         stamps *= NANOSECONDS
         stamps += words.view(f"{self.order}u4")[1::2]
         return stamps
 
-    def column(self, rows: Words, field: str, index: int) -> Numbers:
-        """Return one number of each row of this layout, (n,); a view."""
+    def columns(self, rows: Words, field: str, indices: Sequence[int]) -> Numbers:
+        """Return some numbers of each row of this layout, (numbers, n); a copy."""
         # Doubles lie at multiples of 8 bytes from the end of the encapsulation header.
-        at = (self.fields[field].place(index) + ENCAPSULATION) // WORD
-        column: Numbers = rows.view(f"{self.order}f8")[:, at]
-        return column
+        doubles, first = self.fields[field], ENCAPSULATION
+        at = [(doubles.place(index) + first) // WORD for index in indices]
+        every = rows.view(f"{self.order}f8")
+        are_neighbours = at == list(range(at[0], at[0] + len(at)))
+        some = every[:, at[0] : at[0] + len(at)] if are_neighbours else every[:, at]
+        return np.array(some.T, dtype=np.float64, order="C")
 
 
 def joint_state_layout(raw: bytes) -> Layout:

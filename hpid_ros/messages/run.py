@@ -49,6 +49,7 @@ from hpid_ros.messages.series import (
     NONE,
     DataQuality,
     JointSeries,
+    KeptJoints,
     Losses,
     RecordingQuality,
     RunSeries,
@@ -56,6 +57,7 @@ from hpid_ros.messages.series import (
     StampQuality,
     stretches,
 )
+from hpid_ros.messages.spill import Kept, Spill
 from hpid_ros.messages.storage import (
     Progress,
     Storage,
@@ -120,6 +122,7 @@ class JointRun:
             raise SeriesError(f"joint {joint!r}: no state carries its position")
         samples, not_finite = self._finite(taken, "position", "state")
         self._header_ns = samples.stamps_ns
+        self._aside: tuple[Spill, Kept, Kept] | None = None
         self._begun_ns: Integers | None = None  # when runs but the first began, by their states
         self._samples = samples._replace(stamps_ns=self._times(samples))
         if not selection.separates_runs:
@@ -135,6 +138,23 @@ class JointRun:
                 f"joint {joint!r}: its states carry no stamps; read them with clock 'receive'"
             )
 
+    def set_aside(self, spill: Spill) -> None:
+        """Keep the numbers where they need no memory until the series is asked for."""
+        samples, states = self._samples.values, self.states.values
+        kept = spill.keep(samples)
+        self._aside = spill, kept, kept if states is samples else spill.keep(states)
+        self._samples = self._samples._replace(values=_EMPTY.values)
+        self.states = self.states._replace(values=_EMPTY.values)
+
+    def _take_up(self) -> None:
+        if self._aside is not None:
+            spill, kept, of_states = self._aside
+            samples = spill.array(kept)
+            states = samples if of_states is kept else spill.array(of_states)
+            self._samples = self._samples._replace(values=samples)
+            self.states = self.states._replace(values=states)
+            self._aside = None
+
     def _require_one_run(self) -> None:
         """Refuse runs on a clock that began again: they would be laid over each other."""
         stamps_ns = self._samples.stamps_ns
@@ -148,6 +168,7 @@ class JointRun:
 
     def series(self, window: Window) -> tuple[JointSeries, Losses, DataQuality] | None:
         """Return the series, losses and quality within a window; None without a state in it."""
+        self._take_up()
         whole = self.states
         states = whole.within(window.first_ns, window.last_ns)
         if not len(states.stamps_ns):
@@ -615,7 +636,10 @@ def _run(
     quality: RecordingQuality,
 ) -> RunSeries:
     """Return the series of all joints within the window."""
-    runs = {joint: JointRun(recording, joint, selection) for joint in joints}
+    spill, runs = Spill(), dict[str, JointRun]()
+    for joint in joints:
+        runs[joint] = JointRun(recording, joint, selection)
+        runs[joint].set_aside(spill)
     origin_ns = min(int(run.states.stamps_ns[0]) for run in runs.values())
     start, end = selection.start, selection.end
     window = Window(
@@ -623,7 +647,7 @@ def _run(
         -_FOREVER_NS if start is None else origin_ns + round(start * NANOSECONDS),
         _FOREVER_NS if end is None else origin_ns + round(end * NANOSECONDS),
     )
-    series, losses, qualities = [], {}, {}
+    series, losses, qualities = KeptJoints(spill), {}, {}
     for joint in joints:
         found = runs.pop(joint).series(window)
         if found is not None:
@@ -653,7 +677,7 @@ def _run(
             "in the window alone"
         )
     quality = replace(quality, joints=qualities, notes=tuple(recording.notes))
-    return RunSeries(label, tuple(series), losses, quality=quality)
+    return RunSeries(label, series.at_once() or series, losses, quality=quality)
 
 
 def _foreign_clocks(qualities: Mapping[str, DataQuality]) -> Iterator[str]:

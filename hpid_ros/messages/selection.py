@@ -31,6 +31,7 @@ from hpid_ros.messages.columns import (
     Integers,
     JointSamples,
     JointStream,
+    Layouts,
     Ordered,
     TopicBatch,
     finite,
@@ -49,6 +50,7 @@ from hpid_ros.messages.senders import (
     stands_every_other,
 )
 from hpid_ros.messages.series import HOLD, SeriesError
+from hpid_ros.messages.spill import Spill
 from hpid_ros.motion.joint_trajectory import Column, JointTrajectory
 
 CLOCKS = ("header", "receive")
@@ -610,34 +612,41 @@ class RecordedRun:
         self.notes: list[str] = []
         # log time in [ns], place in the files, topic and content of each
         self.trajectories: list[tuple[int, int, str, TrajectoryArrays]] = []
+        spill, layouts = Spill(), dict[str, Layouts]()
+
+        def of(topic: str) -> Layouts:
+            if topic not in layouts:
+                layouts[topic] = Layouts(types[topic], spill)
+            return layouts[topic]
+
         self.states = {
-            topic: JointStream(JOINT_STATE, "position", joints) for topic in choice.states
+            topic: JointStream(of(topic), "position", joints) for topic in choice.states
         }
         self.commands = {
-            topic: JointStream(types[topic], "effort", joints) for topic in choice.commands
+            topic: JointStream(of(topic), "effort", joints) for topic in choice.commands
         }
         self.reports = {topic for topic in choice.commands if types[topic] in REPORTS}
         elements: dict[str, dict[int, str]] = {}
         for joint, (topic, element) in choice.command_topics.items():
             elements.setdefault(topic, {})[element] = joint
         self.floats = {
-            topic: JointStream(types[topic], "data", elements=of_topic)
+            topic: JointStream(of(topic), "data", elements=of_topic)
             for topic, of_topic in elements.items()
         }
         references = choice.references
         self.setpoints = {
-            topic: JointStream(FLOAT64, "data", elements={0: joint})
+            topic: JointStream(of(topic), "data", elements={0: joint})
             for joint, topic in references.setpoint.items()
         }
         self.sampled = {
-            topic: JointStream(JOINT_STATE, "position", joints) for topic in references.sampled
+            topic: JointStream(of(topic), "position", joints) for topic in references.sampled
         } | {
-            topic: JointStream(types[topic], "reference", joints)
+            topic: JointStream(of(topic), "reference", joints)
             for topic in references.controller_state
         }
         # what a PID controller is fed, which may be a velocity
         self.feedbacks = {
-            topic: JointStream(MULTI_DOF_STATE, "feedback", joints)
+            topic: JointStream(of(topic), "feedback", joints)
             for topic in references.controller_state
             if types[topic] == MULTI_DOF_STATE
         }

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.messages.spill import Kept, Spill, Stored
 
 HOLD = "hold"
 """As a reference: the joint's first position, because it was asked for."""
@@ -197,15 +199,17 @@ class JointSeries:
         """Whether any effort is known."""
         return self.effort.size > 0
 
-    @property
+    @cached_property
     def time(self) -> Numbers:
         """Time of each state since the first state, (N,), in [s]."""
-        return seconds_since(self.state_stamps_ns, int(self.state_stamps_ns[0]))
+        return _read_only(seconds_since(self.state_stamps_ns, int(self.state_stamps_ns[0])))
 
-    @property
+    @cached_property
     def command_time(self) -> Numbers:
         """Time of the state that each command answers since the first state, (M,), in [s]."""
-        return seconds_since(self.command_stamps_ns, int(self.state_stamps_ns[0]))
+        if self.command_stamps_ns is self.state_stamps_ns:
+            return self.time
+        return _read_only(seconds_since(self.command_stamps_ns, int(self.state_stamps_ns[0])))
 
     @property
     def error(self) -> Numbers:
@@ -242,8 +246,7 @@ class JointSeries:
             yield JointSeries(self.joint, *arrays, *commands, is_slide=self.is_slide)
 
     def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
-        values.setflags(write=False)
-        object.__setattr__(self, name, values)
+        object.__setattr__(self, name, _read_only(values))
         return values
 
     def _stamps(self, name: str) -> NDArray[np.int64]:
@@ -274,6 +277,124 @@ class JointSeries:
             )
         require_finite(where, samples)
         return samples
+
+
+class JointOutline(NamedTuple):
+    """What a joint's series holds, without its arrays."""
+
+    joint: str
+    is_slide: bool
+    states: int  # how many
+    commands: int  # how many
+    has_reference: bool
+    first_ns: int  # [ns] stamp of the first state
+    last_ns: int  # [ns] stamp of the last state
+
+
+def outline(series: JointSeries) -> JointOutline:
+    stamps_ns = series.state_stamps_ns
+    return JointOutline(
+        series.joint,
+        series.is_slide,
+        stamps_ns.size,
+        series.effort.size,
+        series.has_reference,
+        int(stamps_ns[0]),
+        int(stamps_ns[-1]),
+    )
+
+
+_ARRAYS = ("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort", "known")
+
+
+class KeptJoints(Sequence[JointSeries]):
+    """The joints of a large run: their arrays lie in a file, and are read one joint at a time."""
+
+    def __init__(self, spill: Spill) -> None:
+        self.outlines: list[JointOutline] = []
+        self._spill = spill
+        self._kept: list[dict[str, Kept | None]] = []
+        # Joints of one topic share their stamps: the arrays seen last, and where they are kept.
+        self._seen: dict[str, tuple[NDArray[Any], Kept]] = {}
+        self._last: tuple[int, JointSeries] | None = None
+
+    def append(self, series: JointSeries) -> None:
+        kept: dict[str, Kept | None] = {}
+        for name in _ARRAYS:
+            array = getattr(series, name)
+            if name.endswith("stamps_ns"):
+                seen = [each for each in self._seen.values() if each[0] is array]
+                self._seen[name] = seen[0] if seen else (array, self._spill.keep(array))
+                kept[name] = self._seen[name][1]
+            else:
+                kept[name] = None if array is None else self._spill.keep(array)
+        self.outlines.append(outline(series))
+        self._kept.append(kept)
+
+    def at_once(self) -> tuple[JointSeries, ...] | None:
+        """Return all joints, to be in memory together; None where some lie in the file."""
+        every = [kept for each in self._kept for kept in each.values()]
+        return None if any(isinstance(kept, Stored) for kept in every) else tuple(self)
+
+    def __len__(self) -> int:
+        return len(self.outlines)
+
+    @overload
+    def __getitem__(self, index: int) -> JointSeries: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[JointSeries]: ...
+
+    def __getitem__(self, index: int | slice) -> JointSeries | Sequence[JointSeries]:
+        if isinstance(index, slice):
+            return self._picked(range(len(self))[index])
+        index = range(len(self))[index]
+        if self._last is None or self._last[0] != index:
+            self._last = None  # before the next one is read
+            self._last = index, self._read(index)
+        return self._last[1]
+
+    def with_slides(self, slides: Collection[str]) -> KeptJoints:
+        """Return the joints with these known to slide, and no others."""
+        picked = self._picked(range(len(self)))
+        picked.outlines = [
+            each._replace(is_slide=each.joint in slides) for each in picked.outlines
+        ]
+        return picked
+
+    def narrowed(self, joints: Collection[str]) -> KeptJoints:
+        """Return some of the joints."""
+        return self._picked([k for k, each in enumerate(self.outlines) if each.joint in joints])
+
+    def _picked(self, indices: Sequence[int]) -> KeptJoints:
+        picked = KeptJoints(self._spill)
+        picked.outlines = [self.outlines[k] for k in indices]
+        picked._kept = [self._kept[k] for k in indices]
+        return picked
+
+    def _read(self, index: int) -> JointSeries:
+        """Return a joint, which was checked when it was kept."""
+        series = object.__new__(JointSeries)
+        found = self.outlines[index]
+        arrays = {name: self._array(name, kept) for name, kept in self._kept[index].items()}
+        for name, value in (*arrays.items(), ("joint", found.joint), ("is_slide", found.is_slide)):
+            object.__setattr__(series, name, value)
+        return series
+
+    def _array(self, name: str, kept: Kept | None) -> NDArray[Any] | None:
+        if kept is None:
+            return None
+        if not name.endswith("stamps_ns"):
+            return _read_only(self._spill.array(kept))
+        seen = [array for array, where in self._seen.values() if where is kept]
+        array = seen[0] if seen else _read_only(self._spill.array(kept))
+        self._seen[name] = array, kept
+        return array
+
+
+def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+    values.setflags(write=False)
+    return values
 
 
 def stretches(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
@@ -312,7 +433,8 @@ class RunSeries:
 
     Attributes:
         label: Name of the run in tables and legends, for instance ``"hPID"``.
-        joints: The series of each joint, in the order in which they are shown.
+        joints: The series of each joint, in the order in which they are shown. Those of a large
+            recording are read from a temporary file, one at a time.
         losses: Losses by joint name; a joint that is not named lost nothing.
         retunes: Changes of parameters while it ran, as far as they were recorded.
         quality: How complete the recording is, and on which clock and reference it stands.
@@ -323,17 +445,18 @@ class RunSeries:
     """
 
     label: str
-    joints: tuple[JointSeries, ...]
+    joints: Sequence[JointSeries]
     losses: Mapping[str, Losses] = field(default_factory=dict)
     retunes: tuple[Retune, ...] = ()
     quality: RecordingQuality = field(default_factory=RecordingQuality)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", tuple(self.joints))
-        names = [series.joint for series in self.joints]
+        if not isinstance(self.joints, KeptJoints):
+            object.__setattr__(self, "joints", tuple(self.joints))
+        names = self.joint_names
         if not self.label or not names:
             raise SeriesError(
-                f"a run needs a label and at least one joint, got {self.label!r}, {names}"
+                f"a run needs a label and at least one joint, got {self.label!r}, {[*names]}"
             )
         if len(set(names)) < len(names):
             raise SeriesError(f"run {self.label!r}: a joint occurs twice in {', '.join(names)}")
@@ -347,14 +470,21 @@ class RunSeries:
         object.__setattr__(self, "losses", losses)
 
     @property
+    def outlines(self) -> Sequence[JointOutline]:
+        """What each joint's series holds, in order."""
+        if isinstance(self.joints, KeptJoints):
+            return self.joints.outlines
+        return [outline(series) for series in self.joints]
+
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, in order."""
-        return tuple(series.joint for series in self.joints)
+        return tuple(each.joint for each in self.outlines)
 
-    @property
+    @cached_property
     def slides(self) -> frozenset[str]:
         """Names of the joints that are known to slide."""
-        return frozenset(series.joint for series in self.joints if series.is_slide)
+        return frozenset(each.joint for each in self.outlines if each.is_slide)
 
     def with_slides(self, slides: Collection[str]) -> RunSeries:
         """Return the run with these joints known to slide, and no others.
@@ -364,6 +494,8 @@ class RunSeries:
         """
         if self.slides == frozenset(slides).intersection(self.joint_names):
             return self
+        if isinstance(self.joints, KeptJoints):
+            return replace(self, joints=self.joints.with_slides(slides))
         marked = (replace(each, is_slide=each.joint in slides) for each in self.joints)
         return replace(self, joints=tuple(marked))
 
@@ -376,23 +508,26 @@ class RunSeries:
         Raises:
             SeriesError: None is.
         """
-        kept = tuple(each for each in self.joints if each.joint in joints)
-        losses = {each.joint: self.losses[each.joint] for each in kept}
+        kept: Sequence[JointSeries]
+        if isinstance(self.joints, KeptJoints):
+            kept = self.joints.narrowed(joints)
+        else:
+            kept = tuple(each for each in self.joints if each.joint in joints)
+        losses = {name: self.losses[name] for name in self.joint_names if name in joints}
         seen = {name: each for name, each in self.quality.joints.items() if name in joints}
         return replace(
             self, joints=kept, losses=losses, quality=replace(self.quality, joints=seen)
         )
 
-    @property
+    @cached_property
     def start_ns(self) -> int:
         """Stamp of the first state of any joint, in [ns]."""
-        return min(int(series.state_stamps_ns[0]) for series in self.joints)
+        return min(each.first_ns for each in self.outlines)
 
-    @property
+    @cached_property
     def duration(self) -> float:
         """Time from the first to the last state of any joint, in [s]."""
-        last_ns = max(int(series.state_stamps_ns[-1]) for series in self.joints)
-        return (last_ns - self.start_ns) / NANOSECONDS
+        return (max(each.last_ns for each in self.outlines) - self.start_ns) / NANOSECONDS
 
 
 def _own(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
@@ -455,36 +590,45 @@ def unfollowed(run: RunSeries) -> dict[str, float]:
     """Return the joints whose error was small hardly ever, from where the reference moved on."""
     found = {}
     for series in run.joints:
-        if not series.has_reference:
-            continue
-        moved = np.flatnonzero(series.reference != series.reference[0])
-        error, known = np.abs(series.error), series.known
-        if known is None:
-            known = np.ones(error.size, dtype=np.bool_)
-        if moved.size and known[moved[0] :].any():
-            error, known = error[moved[0] :], known[moved[0] :]
-        error = error[known]
-        usual_least = float(np.quantile(error, _SELDOM))
-        reference_range = float(np.ptp(series.reference))
-        if usual_least > max(SMALL_ERROR, SHARE_OF_RANGE * reference_range):
+        usual_least = _usual_least(series)
+        if usual_least is not None:
             found[series.joint] = usual_least
     return found
+
+
+def _usual_least(series: JointSeries) -> float | None:
+    """Return the error that a joint hardly ever falls below; None if it follows its reference."""
+    if not series.has_reference:
+        return None
+    moved = np.flatnonzero(series.reference != series.reference[0])
+    error, known = np.abs(series.error), series.known
+    if known is None:
+        known = np.ones(error.size, dtype=np.bool_)
+    if moved.size and known[moved[0] :].any():
+        error, known = error[moved[0] :], known[moved[0] :]
+    usual_least = float(np.quantile(error[known], _SELDOM))
+    reference_range = float(np.ptp(series.reference))
+    follows = usual_least <= max(SMALL_ERROR, SHARE_OF_RANGE * reference_range)
+    return None if follows else usual_least
 
 
 def unfollowed_lines(runs: Sequence[RunSeries]) -> Iterator[str]:
     """Yield a line for each run with joints that did not follow."""
     for run in runs:
-        joints = unfollowed(run)
-        if joints:
-            listed = ", ".join(
-                f"{joint} ({error:.3g} {'m' if joint in run.slides else 'rad'})"
-                for joint, error in joints.items()
-            )
-            yield (
-                f"run {run.label!r}: these joints do not follow their reference, and their ratios "
-                f"say nothing of the controller: {listed}; in brackets the error that they exceed "
-                f"{1 - _SELDOM:.0%} of the time"
-            )
+        yield from _unfollowed_line(run, unfollowed(run))
+
+
+def _unfollowed_line(run: RunSeries, joints: Mapping[str, float]) -> Iterator[str]:
+    if joints:
+        listed = ", ".join(
+            f"{joint} ({error:.3g} {'m' if joint in run.slides else 'rad'})"
+            for joint, error in joints.items()
+        )
+        yield (
+            f"run {run.label!r}: these joints do not follow their reference, and their ratios "
+            f"say nothing of the controller: {listed}; in brackets the error that they exceed "
+            f"{1 - _SELDOM:.0%} of the time"
+        )
 
 
 def unfollowed_mapping(runs: Sequence[RunSeries]) -> Mapping[str, Mapping[str, float]]:
@@ -531,17 +675,19 @@ def _lines(run: RunSeries) -> Iterator[str]:
         )
     for line in _without_reference(joints):
         yield f"run {run.label!r}: {line}"
-    idle = [
-        series.joint
-        for series in run.joints
-        if series.effort.size and not series.effort.any() and np.ptp(series.position) > _MOVED
-    ]
+    idle, errors = [], {}
+    for series in run.joints:
+        if series.effort.size and not series.effort.any() and np.ptp(series.position) > _MOVED:
+            idle.append(series.joint)
+        usual_least = _usual_least(series)
+        if usual_least is not None:
+            errors[series.joint] = usual_least
     if idle:
         yield (
             f"run {run.label!r}: every effort of {', '.join(idle)} is 0, and the joint moved: "
             "nobody commanded it, or its driver fills in what it does not measure"
         )
-    yield from unfollowed_lines([run])
+    yield from _unfollowed_line(run, errors)
 
 
 def _span_text(begin: float, end: float) -> str:

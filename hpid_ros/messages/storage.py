@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import operator
 import os
 import shutil
 import sqlite3
@@ -153,16 +154,21 @@ PARAMETERS = "hpid_ros/controllers"
 """Name of the entry with the parameters of the controllers as they began: a ROS parameter file."""
 
 _BATCH_ROWS = 1 << 14
+_LOOKED_AT = 64
+"""Rows of a batch whose sizes tell how many come next."""
 _BATCH_BYTES = 4 << 20
 _FIRST_STEP = 16
 """Rows that are passed over after a damaged page; doubled as long as that does not help."""
 
-_ROWS = (
-    "SELECT rowid, topic_id, timestamp, data FROM messages "
-    "WHERE rowid >= ? AND topic_id IN ({}) ORDER BY rowid"
+_EVERY_ROW = (
+    "SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid >= ? ORDER BY rowid"
 )
+_ROWS = _EVERY_ROW.replace(" ORDER", " AND topic_id IN ({}) ORDER")
 _FAILURES = (sqlite3.Error, UnicodeDecodeError)
 """What damage raises; the second when SQLite quotes it."""
+
+_KINDS = (int, int, int, bytes)
+"""Of a row's columns."""
 
 _LONGEST_REASON = 200
 _LARGEST_ID = 2**63 - 1
@@ -174,7 +180,8 @@ _STEPS_AT_ONCE = 1 << 20
 _STEPS_PER_BYTE = 4
 """Instructions of SQLite for each byte of a file: a row has 12 bytes or more and takes some 10."""
 
-Row = tuple[int, int, int, bytes]
+Columns = list[tuple[Any, ...]]
+"""Numbers of rows, of topics, times in [ns] and contents of some messages."""
 
 
 class SqliteFile:
@@ -251,10 +258,10 @@ class SqliteFile:
         place, (following, largest) = 0, self._ids(report)
         span, first = max(largest - following, 1), following
 
-        for rows in self._batches_of_rows(wanted, following, largest, report):
-            yield from self._of_rows(rows, wanted, place, report)
-            place += len(rows)
-            done(min(self._size, self._size * (rows[-1][0] + 1 - first) // span))
+        for columns in self._batches_of_rows(wanted, following, largest, report):
+            yield from self._of_rows(columns, wanted, place, report)
+            place += len(columns[0])
+            done(min(self._size, self._size * (columns[0][-1] + 1 - first) // span))
         done(self._size)
 
     def _ids(self, report: Report) -> tuple[int, int]:
@@ -275,49 +282,63 @@ class SqliteFile:
 
     def _batches_of_rows(
         self, wanted: Mapping[str, Sequence[int]], following: int, largest: int, report: Report
-    ) -> Iterator[list[Row]]:
+    ) -> Iterator[Columns]:
         """Yield rows in the order of their ids, passing over pages that cannot be read."""
-        numbers = itertools.chain.from_iterable(wanted.values())
-        query = _ROWS.format(",".join(map(str, numbers)))
+        numbers = set(itertools.chain.from_iterable(wanted.values()))
+        every = set(itertools.chain.from_iterable(own for own, _ in self._topics.values()))
+        query = _EVERY_ROW if numbers == every else _ROWS.format(",".join(map(str, numbers)))
         step, damaged_from, reason = _FIRST_STEP, following, ""
-        rows: list[Row] = []
+        count = 1
         while following <= largest:
             try:
                 with closing(self._connection.execute(query, (following,))) as cursor:
-                    size = 0
-                    for row in cursor:
-                        if row[0] < following:
+                    while rows := cursor.fetchmany(count):
+                        ids = [following - 1, *(row[0] for row in rows)]
+                        falls = list(map(operator.ge, ids, ids[1:]))
+                        whole = rows[: falls.index(True)] if any(falls) else rows
+                        if whole:
+                            if reason:
+                                first = whole[0][0]
+                                report(f"rows {damaged_from} to {first - 1} are damaged, left out")
+                                step, reason = _FIRST_STEP, ""
+                            following = whole[-1][0] + 1
+                            yield list(zip(*whole, strict=True))
+                        if len(whole) < len(rows):
+                            count = 1
                             raise sqlite3.DatabaseError("rows are not in order")
-                        if reason:
-                            report(f"rows {damaged_from} to {row[0] - 1} are damaged, left out")
-                            step, reason = _FIRST_STEP, ""
-                        rows.append(row)
-                        following = row[0] + 1
-                        size += len(row[3]) if type(row[3]) is bytes else 0
-                        if len(rows) == _BATCH_ROWS or size >= _BATCH_BYTES:
-                            yield rows
-                            rows, size = [], 0
+                        some = rows[:: 1 + len(rows) // _LOOKED_AT]
+                        size = sum(len(row[3]) for row in some if type(row[3]) is bytes)
+                        few = len(some) * _BATCH_BYTES // max(size, 1)
+                        count = max(1, min(2 * count, few, _BATCH_ROWS))
                 break
             except _FAILURES as error:
+                if count > 1:  # some of those that were asked for may be whole
+                    count = 1
+                    continue
                 if not reason:
                     damaged_from, reason = following, _line(error)
                 following, step = following + step, 2 * step
-        if rows:
-            yield rows
         if reason:
             report(f"rows from {damaged_from} on are left out: {reason}")
 
     def _of_rows(
-        self, rows: Sequence[Row], wanted: Mapping[str, Sequence[int]], place: int, report: Report
+        self,
+        columns: Columns,
+        wanted: Mapping[str, Sequence[int]],
+        place: int,
+        report: Report,
     ) -> Iterator[TopicBatch]:
-        kept = [row for row in rows if tuple(map(type, row)) == (int, int, int, bytes)]
-        if len(kept) < len(rows):  # a damaged row holds anything
+        if any(set(map(type, each)) != {kind} for each, kind in zip(columns, _KINDS, strict=True)):
+            rows = list(zip(*columns, strict=True))  # a damaged one holds anything
+            kept = [row for row in rows if tuple(map(type, row)) == _KINDS]
             report(f"{len(rows) - len(kept)} rows are no messages, left out")
-        if not kept:
-            return
-        _, owners, times, blobs = zip(*kept, strict=True)
+            if not kept:
+                return
+            columns = list(zip(*kept, strict=True))
+        _, owners, times, blobs = columns
+        count = len(blobs)
         owner, time = (np.array(each, dtype=np.int64) for each in (owners, times))
-        whole = batch_of("", blobs, time, place + np.arange(len(kept)))
+        whole = batch_of("", blobs, time, place + np.arange(count))
         for name, numbers in wanted.items():
             is_own = np.isin(owner, numbers)
             if is_own.any():

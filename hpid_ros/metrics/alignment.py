@@ -96,29 +96,42 @@ def window_cuts(
     )
 
 
-def outline_of(run: RunSeries) -> Outline:
-    states = max(series.state_stamps_ns.size for series in run.joints)
+class JointCourse(NamedTuple):
+    """By what one joint of a run is laid over that of another."""
+
+    moved: float | None  # [s] when its reference first moves, since the run's first state
+    reference: ReferenceCourse | None  # None without one
+
+
+def course_of(series: JointSeries, start_ns: int) -> JointCourse:
+    """Return the course of a joint's reference, in times since a run's first state."""
+    if not series.has_reference:
+        return JointCourse(None, None)
+    known = slice(None) if series.known is None else series.known
+    stamps, values = series.state_stamps_ns[known], series.reference[known]
+    step = -(-len(stamps) // _POINTS)
+    begin_ns = _motion_begin(series)
+    return JointCourse(
+        None if begin_ns is None else (begin_ns - start_ns) / NANOSECONDS,
+        ReferenceCourse((stamps[::step] - start_ns) / NANOSECONDS, values[::step].copy()),
+    )
+
+
+def outline_of(run: RunSeries, courses: Mapping[str, JointCourse] | None = None) -> Outline:
+    """Return by what a run is laid over others; each joint's course may be known already."""
+    if courses is None:
+        courses = {each.joint: course_of(each, run.start_ns) for each in run.joints}
+    states = max(each.states for each in run.outlines)
     joints = run.quality.joints.values()
     began = [each.reference_from for each in joints if each.reference_from is not None]
-    moved = [
-        (int(stamp_ns) - run.start_ns) / NANOSECONDS
-        for series in run.joints
-        if (stamp_ns := _motion_begin(series)) is not None
-    ]
+    moved = [each.moved for each in courses.values() if each.moved is not None]
     return Outline(
         run.duration,
         run.duration / max(1, states - 1),
         min(began, default=None),
         min(moved, default=None),
-        {each.joint: _course(each, run.start_ns) for each in run.joints if each.has_reference},
+        {k: each.reference for k, each in courses.items() if each.reference is not None},
     )
-
-
-def _course(series: JointSeries, start_ns: int) -> ReferenceCourse:
-    known = slice(None) if series.known is None else series.known
-    stamps, values = series.state_stamps_ns[known], series.reference[known]
-    step = -(-len(stamps) // _POINTS)
-    return ReferenceCourse((stamps[::step] - start_ns) / NANOSECONDS, values[::step].copy())
 
 
 def _motion_begin(series: JointSeries) -> int | None:

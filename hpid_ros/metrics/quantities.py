@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -180,10 +180,8 @@ def effort_of(series: JointSeries) -> Signal:
 
 def has_any(runs: Sequence[RunSeries], data: Data) -> bool:
     """Return whether any joint of some runs has a reference, or an effort."""
-    joints = [series for run in runs for series in run.joints]
-    if data is Data.REFERENCE:
-        return any(series.has_reference for series in joints)
-    return any(series.has_effort for series in joints)
+    joints = (each for run in runs for each in run.outlines)
+    return any(each.has_reference if data is Data.REFERENCE else each.commands for each in joints)
 
 
 class GainSignals(NamedTuple):
@@ -255,17 +253,21 @@ def _reference_rate(reference: Numbers, steps: Numbers) -> Numbers:
     return np.append(0.0, np.where(is_jump, 0.0, moves / steps))
 
 
-def norm_over_joints(signals: Sequence[Signal]) -> Signal:
+def norm_over_joints(signals: Iterable[Signal]) -> Signal:
     """Return the Euclidean norm over joints of their signals, at all stamps that any has.
+
+    The signals are gone through twice, and only one of them need be in memory.
 
     Between its samples a joint's value lies on a straight line, as the indices see it; before
     its first and after its last sample it counts as zero.
 
     Source: the paper's equation of the norm over joints in the experimental section.
     """
-    stamps = signals[0].stamps_ns
-    if not all(np.array_equal(stamps, signal.stamps_ns) for signal in signals[1:]):
-        stamps = np.unique(np.concatenate([signal.stamps_ns for signal in signals]))
+    unlike: list[NDArray[np.int64]] = []  # stamps that others do not have
+    for each in signals:
+        if not any(np.array_equal(each.stamps_ns, known) for known in unlike):
+            unlike.append(each.stamps_ns)
+    stamps = unlike[0] if len(unlike) == 1 else np.unique(np.concatenate(unlike))
     squares = np.zeros(stamps.size)
     for stamps_ns, values in signals:
         if stamps_ns.size == stamps.size:  # as many as there are: the same ones
@@ -277,9 +279,19 @@ def norm_over_joints(signals: Sequence[Signal]) -> Signal:
     return Signal(stamps, np.sqrt(squares))
 
 
+class _SignalsOf:
+    """The signals of a run's joints, each made when it is looked at."""
+
+    def __init__(self, run: RunSeries, signal_of: Callable[[JointSeries], Signal]) -> None:
+        self._run, self._signal_of = run, signal_of
+
+    def __iter__(self) -> Iterator[Signal]:
+        return map(self._signal_of, self._run.joints)
+
+
 def norm_of_run(run: RunSeries, signal_of: Callable[[JointSeries], Signal]) -> Signal:
     """Return the norm over a run's joints; nothing where one of them has no signal."""
-    signals = [signal_of(series) for series in run.joints]
+    signals = _SignalsOf(run, signal_of)
     return norm_over_joints(signals) if all(each.values.size for each in signals) else NO_SIGNAL
 
 

@@ -33,7 +33,9 @@ from hpid_ros.metrics.alignment import (
     DURATION_WITHIN,
     REFERENCE_AT_LEAST,
     REFERENCE_WITHIN,
+    JointCourse,
     Outline,
+    course_of,
     outline_of,
 )
 from hpid_ros.metrics.indices import (
@@ -107,26 +109,6 @@ class Conditions:
         return {k: v for k, v in self.efforts.items() if any(_unlike_efforts(v, usual).values())}
 
 
-def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
-    states = max(series.state_stamps_ns.size for series in run.joints)
-    return Conditions(
-        duration=run.duration,
-        period=run.duration / max(1, states - 1),
-        cutoff=cutoff,
-        references={each.joint: _knots(each) for each in run.joints if each.has_reference},
-        clock=next((each.state_clock for each in run.quality.joints.values()), "header"),
-        outline=outline_of(run),
-        efforts={
-            each.joint: (
-                time := float(np.ptp(each.command_time)),
-                time / max(1, each.effort.size - 1),
-            )
-            for each in run.joints
-            if each.has_effort
-        },
-    )
-
-
 def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
     """Yield what differs between two runs' conditions."""
     if _differ(one.duration, other.duration):
@@ -160,6 +142,50 @@ def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
     ]
     if names:
         yield Difference(f"references differ: {', '.join(names)}", EVERYTHING)
+
+
+class _JointNumbers(NamedTuple):
+    """All that is kept of one joint."""
+
+    indices: Indices
+    effort_square: float | None  # integral over time; None without efforts
+    error_square: float | None  # None without a reference
+    knots: tuple[float, ...]  # of its reference; empty without one
+    effort_times: tuple[float, float] | None  # [s] from the first to the last, mean period
+    course: JointCourse
+
+
+def _numbers_of(
+    series: JointSeries, start_ns: int, cutoff: float, effort_limit: float | None
+) -> _JointNumbers:
+    time = float(np.ptp(series.command_time)) if series.has_effort else 0.0
+    return _JointNumbers(
+        joint_indices(series, cutoff, effort_limit),
+        square_integral(series.command_time, series.effort) if series.has_effort else None,
+        square_of_error(series) if series.has_reference else None,
+        _knots(series) if series.has_reference else (),
+        (time, time / max(1, series.effort.size - 1)) if series.has_effort else None,
+        course_of(series, start_ns),
+    )
+
+
+def _conditions_of(
+    run: RunSeries, numbers: Mapping[str, _JointNumbers], cutoff: float
+) -> Conditions:
+    states = max(each.states for each in run.outlines)
+    return Conditions(
+        duration=run.duration,
+        period=run.duration / max(1, states - 1),
+        cutoff=cutoff,
+        references={joint: each.knots for joint, each in numbers.items() if each.knots},
+        clock=next((each.state_clock for each in run.quality.joints.values()), "header"),
+        outline=outline_of(run, {joint: each.course for joint, each in numbers.items()}),
+        efforts={
+            joint: each.effort_times
+            for joint, each in numbers.items()
+            if each.effort_times is not None
+        },
+    )
 
 
 def _knots(series: JointSeries) -> tuple[float, ...]:
@@ -384,21 +410,25 @@ def run_indices(
     for name, value in {"cut-off": cutoff, **texts}.items():
         if not (math.isfinite(value) and value > 0.0):
             raise SeriesError(f"the {name} must be positive and finite, not {value}")
-    joints = {s.joint: joint_indices(s, cutoff, limits.get(s.joint)) for s in run.joints}
+    numbers = {
+        each.joint: _numbers_of(each, run.start_ns, cutoff, limits.get(each.joint))
+        for each in run.joints
+    }
+    joints = {joint: each.indices for joint, each in numbers.items()}
     lacking = _lacking(run)
     norms = {}
-    if with_effort := [s for s in run.joints if s.has_effort]:
-        squares = (square_integral(s.command_time, s.effort) for s in with_effort)
-        norms[EFFORT_L2.key] = math.sqrt(math.fsum(squares))
-    if with_reference := [s for s in run.joints if s.has_reference]:
-        squares = (square_of_error(s) for s in with_reference)
-        norms[ERROR_L2.key] = math.sqrt(math.fsum(squares))
+    for norm, squares in (
+        (EFFORT_L2, [each.effort_square for each in numbers.values()]),
+        (ERROR_L2, [each.error_square for each in numbers.values()]),
+    ):
+        if known := [each for each in squares if each is not None]:
+            norms[norm.key] = math.sqrt(math.fsum(known))
     return RunIndices(
         label=run.label,
         joints=joints,
         totals=_totals(joints, lacking) | norms,
         quantities=tuple(QUANTITIES.values()),
-        conditions=conditions_of(run, cutoff),
+        conditions=_conditions_of(run, numbers, cutoff),
         lacking=lacking,
         assumed=_assumed(run),
         against={
@@ -408,6 +438,19 @@ def run_indices(
         },
         slides=run.slides,
     )
+
+
+def l2_of_run(run: RunSeries, quantity: Quantity) -> float:
+    """Return one of the L2 norms over all joints of a run; nan where no joint has it."""
+    if quantity == EFFORT_L2:
+        squares = [
+            square_integral(each.command_time, each.effort)
+            for each in run.joints
+            if each.has_effort
+        ]
+    else:
+        squares = [square_of_error(each) for each in run.joints if each.has_reference]
+    return math.sqrt(math.fsum(squares)) if squares else math.nan
 
 
 def against_text(reference: str) -> str:
@@ -430,13 +473,13 @@ def against_text(reference: str) -> str:
 def _lacking(run: RunSeries) -> dict[str, dict[Data, str]]:
     """Return which joints lack a reference or efforts, and why."""
     lacking: dict[str, dict[Data, str]] = {}
-    for series in run.joints:
-        quality = run.quality.joints.get(series.joint)
-        if not series.has_reference:
-            lacking.setdefault(series.joint, {})[Data.REFERENCE] = NO_REFERENCE
-        if not series.has_effort:
+    for each in run.outlines:
+        quality = run.quality.joints.get(each.joint)
+        if not each.has_reference:
+            lacking.setdefault(each.joint, {})[Data.REFERENCE] = NO_REFERENCE
+        if not each.commands:
             reason = NO_EFFORT if quality is None else quality.no_effort or NO_EFFORT
-            lacking.setdefault(series.joint, {})[Data.EFFORT] = reason
+            lacking.setdefault(each.joint, {})[Data.EFFORT] = reason
     return lacking
 
 
@@ -472,7 +515,7 @@ def _totals(
 
 
 def _error_numbers(series: JointSeries) -> dict[str, float]:
-    # A function of its own: of an hour's series the error is not kept beside what comes next.
+    # A function of its own: of an hour's series the error is not kept with what comes next.
     t, error = series.time, series.error
     parts = [(t[each], error[each]) for each in series.referenced]
     ise = math.fsum(square_integral(*part) for part in parts)

@@ -35,7 +35,7 @@ from hpid_ros.metrics.quantities import (
     position_of,
     reference_of,
 )
-from hpid_ros.metrics.results import DEFAULT_CUTOFF, RunIndices, run_indices
+from hpid_ros.metrics.results import DEFAULT_CUTOFF, RunIndices, l2_of_run
 from hpid_ros.report.table import heading_of
 
 if TYPE_CHECKING:
@@ -179,6 +179,7 @@ class _RunFigures:
     def __init__(
         self, comparison: Comparison, runs: Sequence[RunSeries], samples: int, gains: Gains
     ) -> None:
+        self._numbers = comparison.runs
         labels = [run.label for run in comparison.runs]
         self._runs = [(labels.index(run.label), run) for run in runs]
         self._names = runs[0].joint_names
@@ -288,7 +289,7 @@ class _RunFigures:
         unit_of_l2 = f"[{unit_of_l2}]" if "," in unit_of_l2 else unit_of_l2
         labels = {}
         for k, run in self._runs:
-            value = run_indices(run).value(quantity)
+            value = self._l2_of(k, run, quantity)
             note = f"{quantity.meaning} {value:.4g} {unit_of_l2}"
             labels[k] = f"{run.label}: {f'no {quantity.meaning}' if math.isnan(value) else note}"
         return Figure(
@@ -298,6 +299,13 @@ class _RunFigures:
             labels=labels,
             mark="retuned",
         )
+
+    def _l2_of(self, k: int, run: RunSeries, quantity: Quantity) -> float:
+        """Return an L2 norm of a recording itself, which a median of repeats is not."""
+        known = self._numbers[k]
+        if known.spread is None and known.angle_unit == "rad" and quantity in known.quantities:
+            return known.value(quantity)
+        return l2_of_run(run, quantity)
 
     def _line(self, k: int, run: RunSeries, signal: Signal) -> Line:
         stamps_ns, values = envelope(signal, self._samples // 4)
@@ -401,14 +409,19 @@ def phase_curve(series: JointSeries, points: int) -> PhaseCurve:
     stride = max(1, -(-error.size // points))
     if error.size < 4 or t[-1] <= t[0]:
         return PhaseCurve(error[::stride], np.zeros_like(error[::stride]))
-    smooth, rate = np.empty_like(error), np.empty_like(error)
     jumps = _jumps(series.reference)
+    smooth: list[Numbers] = []
+    rate: list[Numbers] = []
     for first, stop in pairwise((0, *jumps, error.size)):
-        smooth[first:stop], rate[first:stop] = _fitted(t[first:stop], error[first:stop])
+        shown = slice(-first % stride, None, stride)
+        for found, part in zip(
+            (smooth, rate), _fitted(t[first:stop], error[first:stop], shown), strict=True
+        ):
+            found.append(part)
+    curve = PhaseCurve(np.concatenate(smooth), np.concatenate(rate))
     torn = {(at - 1) // stride for at in jumps}  # the last one shown before a jump
-    smooth, rate = smooth[::stride], rate[::stride]
-    rate[list(torn)] = np.nan
-    return PhaseCurve(smooth, rate)
+    curve.rate[list(torn)] = np.nan
+    return curve
 
 
 def _jumps(reference: Numbers) -> list[int]:
@@ -421,10 +434,10 @@ def _jumps(reference: Numbers) -> list[int]:
     return [int(at) + 1 for at in np.flatnonzero(found)]
 
 
-def _fitted(t: Numbers, error: Numbers) -> tuple[Numbers, Numbers]:
-    """Return an error and its rate, each smoothed over :data:`RATE_WINDOW`."""
+def _fitted(t: Numbers, error: Numbers, shown: slice) -> tuple[Numbers, Numbers]:
+    """Return some of an error and its rate, each smoothed over :data:`RATE_WINDOW`."""
     if error.size < 4 or t[-1] <= t[0]:
-        return error, np.full_like(error, np.nan)
+        return error[shown], np.full_like(error[shown], np.nan)
     period = float(t[-1] - t[0]) / (error.size - 1)
     half = max(1, min(round(0.5 * RATE_WINDOW / period), (error.size - 1) // 2))
     even = np.interp(np.linspace(t[0], t[-1], error.size), t, error)
@@ -432,8 +445,9 @@ def _fitted(t: Numbers, error: Numbers) -> tuple[Numbers, Numbers]:
     # filter of Savitzky and Golay, as in scipy.signal, which takes half a second to import.
     offsets = np.arange(-half, half + 1)
     to_values = np.vander(offsets, 3, increasing=True)
-    parabolas = sliding_window_view(even, offsets.size) @ np.linalg.pinv(to_values).T
-    places = np.clip(np.arange(error.size) - half, 0, len(parabolas) - 1)
-    off = np.arange(error.size) - half - places
-    c0, c1, c2 = parabolas[places].T
+    windows = sliding_window_view(even, offsets.size)
+    middles = np.arange(error.size)[shown] - half
+    places = np.clip(middles, 0, len(windows) - 1)
+    off = middles - places
+    c0, c1, c2 = (windows[places] @ np.linalg.pinv(to_values).T).T
     return c0 + off * (c1 + off * c2), (c1 + 2.0 * off * c2) / period

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -249,7 +250,7 @@ def _of_file(options: argparse.Namespace) -> int:
     file = parameter_file(options.file)
     loops = list(file.loops.values())
     joints = [each.joint for each in loops]
-    recorded: tuple[JointSeries, ...] = ()
+    recorded: Sequence[JointSeries] = ()
     if options.bag is not None:
         selection = BagSelection(separates_runs=True, every=True)
         recorded = read_run(options.bag, "PID", joints=joints, selection=selection).joints
