@@ -9,6 +9,7 @@ imported numpy.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import tempfile
@@ -141,7 +142,10 @@ def messages(shape: str, count: int, seed: int = 0) -> Iterator[tuple[str, int, 
     yield "/joint_trajectory", START_NS, encode_joint_trajectory(_trajectory(ticks))
     for tick in range(ticks):
         stamp = START_NS + PERIOD_NS * tick
-        position, velocity, effort = random.normal(0.0, 1.0, (3, len(JOINTS))).tolist()
+        noise, velocity, effort = random.normal(0.0, 1.0, (3, len(JOINTS))).tolist()
+        position = [
+            math.sin(5e-4 * tick + joint) + 1e-4 * each for joint, each in enumerate(noise)
+        ]
         raw = states.encode(stamp, position=position, velocity=velocity, effort=effort)
         yield "/joint_states", stamp + 50_000, raw
         for place, joint in enumerate(commands if shape == "joints" else ()):

@@ -375,11 +375,15 @@ class Layouts:
         if batch is not self._batch:
             self._batch = batch
             self.message_count += len(batch.starts)
-            self._found = [
-                each
-                for size in np.unique(batch.sizes).tolist()
-                for each in self._of_size(batch.picked(batch.sizes == size), size)
-            ]
+            sizes = batch.sizes
+            if len(sizes) and (sizes == sizes[0]).all():
+                self._found = list(self._of_size(batch, int(sizes[0])))
+            else:
+                self._found = [
+                    each
+                    for size in np.unique(sizes).tolist()
+                    for each in self._of_size(batch.picked(sizes == size), size)
+                ]
         return self._found
 
     def joined(self, parts: Sequence[_Times]) -> list[Integers]:

@@ -491,8 +491,11 @@ class McapFile:
         )
         channels = self._catalogue.channels.items()
         for topic in topics:
-            is_own = np.isin(owners, [n for n, (name, _) in channels if name == topic])
-            if is_own.any():
+            numbers = [n for n, (name, _) in channels if name == topic]
+            is_own = owners == numbers[0] if len(numbers) == 1 else np.isin(owners, numbers)
+            if is_own.all():
+                yield whole._replace(topic=topic)
+            elif is_own.any():
                 yield whole.picked(is_own)._replace(topic=topic)
 
     def _read(self, position: int, size: int) -> bytes:

@@ -32,7 +32,7 @@ from hpid_ros.messages.reports import (
 )
 from hpid_ros.messages.selection import BagSelection, choose_topics, find_topic, matching
 from hpid_ros.messages.series import Retune
-from hpid_ros.messages.storage import Storage
+from hpid_ros.messages.storage import Storage, opened
 from hpid_ros.messages.writer import jazzy_types
 
 
@@ -191,13 +191,15 @@ TEXT = "std_msgs/msg/String"
 _DESCRIPTION = "robot_description"
 
 
-def read_robot_descriptions(bag: Path, namespace: str | None = None) -> list[tuple[str, str]]:
+def read_robot_descriptions(
+    bag: Path | Storage, namespace: str | None = None
+) -> list[tuple[str, str]]:
     """Return the last text on each topic ``robot_description``, with the topic; often none."""
     only = (
         None if namespace is None else f"/{namespace.strip('/')}/{_DESCRIPTION}".replace("//", "/")
     )
     found: dict[str, str] = {}
-    with Storage(bag) as storage:
+    with opened(bag) as storage:
         topics = frozenset(
             name
             for name, info in storage.topics().items()
@@ -239,9 +241,9 @@ def read_event(raw: bytes) -> ParameterEvent | None:
 _HEADER = 12  # bytes of an encapsulation header and a stamp
 
 
-def read_retunes(path: Path) -> tuple[Retune, ...]:
+def read_retunes(path: Path | Storage) -> tuple[Retune, ...]:
     """Return what was set at controllers that ran, each with the state before it."""
-    with Storage(path) as bag:
+    with opened(path) as bag:
         topics = bag.topics()
         states = [name for name, topic in topics.items() if topic.type == JOINT_STATE]
         states = [name for name in states if name.endswith("joint_states")]

@@ -63,6 +63,7 @@ from hpid_ros.messages.storage import (
     Storage,
     missed_messages,
     no_progress,
+    opened,
     time_stood_still,
 )
 from hpid_ros.messages.turns import CONTINUOUS, in_nearest_turn, unwrapped
@@ -187,8 +188,8 @@ class JointRun:
         series = JointSeries(self._joint, *states[:2], reference, *commands[:2], known=is_known)
         begin = None if found is None else found.begin_ns
         quality = DataQuality(
-            states=states.quality(window.origin_ns),
-            commands=commands.quality(window.origin_ns),
+            states=self._recording.quality(states, window.origin_ns),
+            commands=self._recording.quality(commands, window.origin_ns),
             state_clock=self._clock,
             command_clock=command_clock,
             answers_states=answers,
@@ -476,7 +477,7 @@ _SHOWN_JOINTS = 3
 
 
 def read_run(
-    path: Path | str,
+    path: Path | str | Storage,
     label: str,
     *,
     joints: Sequence[str] | None = None,
@@ -493,7 +494,8 @@ def read_run(
     read, and what is missing, is in the result's ``quality``.
 
     Args:
-        path: A bag folder, with ``metadata.yaml`` or without, or one ``.mcap`` or ``.db3`` file.
+        path: A bag folder, with ``metadata.yaml`` or without, or one ``.mcap`` or ``.db3`` file;
+            or a bag that is open.
         label: Name of the run in tables and figures.
         joints: The joints to read, before those of the selection.
         selection: Topics, joints, references, clock and window; all found by name and type if
@@ -508,7 +510,7 @@ def read_run(
     chosen = selection or BagSelection()
     if joints is not None:
         chosen = replace(chosen, joints=joints)
-    with Storage(path) as storage:
+    with opened(path) as storage:
         where = f"bag {storage.path}"
         try:
             recording = _recording(storage, where, chosen, progress or no_progress)
@@ -518,7 +520,7 @@ def read_run(
             # What is missing may be in what could not be read.
             raise BagError(f"{error} ({'; '.join(storage.unreadable)})") from error
         quality = RecordingQuality(
-            source=str(path),
+            source=str(storage.path if isinstance(path, Storage) else path),
             unreadable=(*storage.unreadable, *_undecodable(where, recording)),
             missed=missed_messages(storage.custom_data),
             stood_still=time_stood_still(storage.custom_data),

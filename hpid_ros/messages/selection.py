@@ -49,7 +49,7 @@ from hpid_ros.messages.senders import (
     returns,
     stands_every_other,
 )
-from hpid_ros.messages.series import HOLD, SeriesError
+from hpid_ros.messages.series import HOLD, SeriesError, StampQuality
 from hpid_ros.messages.spill import Spill
 from hpid_ros.motion.joint_trajectory import Column, JointTrajectory
 
@@ -650,6 +650,8 @@ class RecordedRun:
             for topic in references.controller_state
             if types[topic] == MULTI_DOF_STATE
         }
+        # of the streams that were looked at last
+        self._qualities: list[tuple[Integers, int, StampQuality]] = []
         self._disagreements: dict[tuple[str, str, bool], dict[str, float]] = {}
         self._overruled: dict[tuple[str, str], dict[str, float]] = {}
         self._turned: dict[str | None, dict[str, int]] = {}  # turns by joint, by its type
@@ -778,6 +780,21 @@ class RecordedRun:
                 f"{report} reports another reference than {asked} asks for, of "
                 f"{_farthest(found)}: what the controller reports is taken"
             )
+
+    def quality(self, samples: Ordered, origin_ns: int) -> StampQuality:
+        """Return what the stamps of samples say; joints that share them are looked at once."""
+        stamps_ns = samples.stamps_ns
+        for known, of, found in self._qualities:
+            if known is stamps_ns and of == origin_ns:
+                return replace(
+                    found,
+                    repeated=samples.repeated,
+                    out_of_order=samples.out_of_order,
+                    not_finite=samples.not_finite,
+                )
+        found = samples.quality(origin_ns)
+        self._qualities = [(stamps_ns, origin_ns, found), *self._qualities[:1]]
+        return found
 
     def has_efforts(self) -> bool:
         streams = (*self.commands.values(), *self.floats.values())

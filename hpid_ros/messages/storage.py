@@ -18,7 +18,7 @@ import shutil
 import sqlite3
 import struct
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -657,6 +657,20 @@ class Storage:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+@contextmanager
+def opened(bag: Path | str | Storage) -> Iterator[Storage]:
+    """Open a bag; one that is open is lent, and what cannot be read meanwhile is not kept."""
+    if isinstance(bag, Storage):
+        before = list(bag.unreadable)
+        try:
+            yield bag
+        finally:
+            bag.unreadable[:] = before
+        return
+    with Storage(bag) as storage:
+        yield storage
 
 
 def bags_in(folder: Path) -> list[Path]:

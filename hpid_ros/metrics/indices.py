@@ -226,11 +226,16 @@ def energy(series: JointSeries) -> float | None:
     if series.command_time[-1] < t[0] or series.command_time[0] > t[-1]:
         return None
     ends = np.append(series.command_time, max(t[-1], series.command_time[-1]))
+    are_states = series.command_stamps_ns is series.state_stamps_ns
 
     def work() -> Iterator[Numbers]:
         for first in range(0, effort.size, BLOCK):
             held = effort[first : first + BLOCK]
-            position = np.interp(ends[first : first + held.size + 1], t, series.position)
+            if are_states:  # as interpolated at the states themselves; after the last it rests
+                position = series.position[first : first + held.size + 1]
+                held = held[: position.size - 1]
+            else:
+                position = np.interp(ends[first : first + held.size + 1], t, series.position)
             yield np.abs(held) * np.abs(np.diff(position))
 
     return exact_sum_of_blocks(work())

@@ -26,7 +26,7 @@ from hpid_ros.messages.messages import read_retunes, read_robot_descriptions
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, quality_lines
-from hpid_ros.messages.storage import bags_in, custom_data, recorded_slides
+from hpid_ros.messages.storage import Storage, bags_in, custom_data, recorded_slides
 from hpid_ros.metrics.alignment import ALIGNMENTS, Cut, RunWindow, cuts_of, window_cuts
 from hpid_ros.metrics.comparison import Comparison, fold_repeats, mismatches
 from hpid_ros.metrics.quantities import (
@@ -374,7 +374,7 @@ class SlidingJoints(NamedTuple):
 
 
 def sliding_joints(
-    bag: Path, description: RobotDescription | None, namespace: str | None = None
+    bag: Path | Storage, description: RobotDescription | None, namespace: str | None = None
 ) -> SlidingJoints:
     """Return which joints slide: by the given description, else by what the bag holds.
 
@@ -383,7 +383,8 @@ def sliding_joints(
     """
     if description is not None:
         return SlidingJoints(description.slides, kinds=description.kinds)
-    slides, turning, doubts = set(recorded_slides(custom_data(bag))), set[str](), []
+    own = bag.custom_data if isinstance(bag, Storage) else custom_data(bag)
+    slides, turning, doubts = set(recorded_slides(own)), set[str](), []
     kinds: dict[str, str] = {}
     for topic, text in read_robot_descriptions(bag, namespace):
         try:
@@ -424,12 +425,13 @@ def _of_bag(
     if cut is not None:
         selection = replace(selection, start=cut.start, end=cut.end)
     robot = how.description or (how.robot.description if how.robot else None)
-    known = sliding_joints(source.path, robot, selection.namespace)
-    selection = replace(selection, kinds={**known.kinds, **selection.kinds})
-    series = read_run(source.path, str(source.label), selection=selection, progress=told)
-    series = series.with_slides(known.slides)
-    if how.keeps_series:
-        series = replace(series, retunes=read_retunes(source.path))
+    with Storage(source.path) as bag:
+        known = sliding_joints(bag, robot, selection.namespace)
+        selection = replace(selection, kinds={**known.kinds, **selection.kinds})
+        series = read_run(bag, str(source.label), selection=selection, progress=told)
+        series = series.with_slides(known.slides)
+        if how.keeps_series:
+            series = replace(series, retunes=read_retunes(bag))
     limits = dict(how.effort_limits)
     if ALL_JOINTS in limits:
         limits = dict.fromkeys(series.joint_names, limits.pop(ALL_JOINTS)) | limits

@@ -44,7 +44,6 @@ from hpid_ros.metrics.indices import (
     find_steps,
     integral_of_absolute,
     itae,
-    l2_norm,
     root_mean_square_of_parts,
     saturation_share,
     square_integral,
@@ -159,10 +158,12 @@ def _numbers_of(
     series: JointSeries, start_ns: int, cutoff: float, effort_limit: float | None
 ) -> _JointNumbers:
     time = float(np.ptp(series.command_time)) if series.has_effort else 0.0
+    effort_square = _effort_square(series)
+    indices = _joint_indices(series, cutoff, effort_limit, effort_square)
     return _JointNumbers(
-        joint_indices(series, cutoff, effort_limit),
-        square_integral(series.command_time, series.effort) if series.has_effort else None,
-        square_of_error(series) if series.has_reference else None,
+        indices,
+        effort_square,
+        indices["ise"] if series.has_reference else None,
         _knots(series) if series.has_reference else (),
         (time, time / max(1, series.effort.size - 1)) if series.has_effort else None,
         course_of(series, start_ns),
@@ -372,6 +373,17 @@ def joint_indices(
 
     What needs a reference or efforts that the joint does not have is not there.
     """
+    return _joint_indices(series, cutoff, effort_limit, _effort_square(series))
+
+
+def _effort_square(series: JointSeries) -> float | None:
+    """Return the integral of a joint's squared effort; None without efforts."""
+    return square_integral(series.command_time, series.effort) if series.has_effort else None
+
+
+def _joint_indices(
+    series: JointSeries, cutoff: float, effort_limit: float | None, effort_square: float | None
+) -> Indices:
     # The order of the keys is that of files.
     numbers: dict[str, float | None] = {}
     t, u = series.command_time, series.effort
@@ -379,8 +391,8 @@ def joint_indices(
         numbers |= {"ivc": total_variation(u), "iavc": integral_of_absolute(t, u)}
     if series.has_reference:
         numbers |= _error_numbers(series)
-    if series.has_effort:
-        numbers["effort_l2"] = l2_norm(t, u)
+    if effort_square is not None:
+        numbers["effort_l2"] = math.sqrt(effort_square)
     if series.has_reference:
         numbers |= _worst_step(series)
     if series.has_effort:
@@ -519,11 +531,12 @@ def _error_numbers(series: JointSeries) -> dict[str, float]:
     t, error = series.time, series.error
     parts = [(t[each], error[each]) for each in series.referenced]
     ise = math.fsum(square_integral(*part) for part in parts)
+    span = math.fsum(float(t[-1] - t[0]) for t, _ in parts)
     return {
         "itae": math.fsum(itae(*part) for part in parts),
         "iae": math.fsum(integral_of_absolute(*part) for part in parts),
         "ise": ise,
-        "rmse": root_mean_square_of_parts(parts),
+        "rmse": math.sqrt(ise / span) if span else root_mean_square_of_parts(parts),
         "error_max": max(max(float(e.max()), -float(e.min())) for _, e in parts),
         "error_l2": math.sqrt(ise),
     }
