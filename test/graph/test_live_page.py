@@ -98,20 +98,36 @@ def test_a_joint_is_tried_with_two_settings_of_which_one_is_kept(harness, page, 
     page.get_by_role("button", name="keep in force").click()
     logged(page, "trial: kept, now in force: in force")
 
+    while not is_let_go_in_the_middle_and_returns(harness, page):
+        pass
+    page.get_by_role("button", name="Cancel").click()
+    logged(page, "trial: cancelled")
+
+
+def is_let_go_in_the_middle_and_returns(harness, page):
+    """Let go in the middle of a motion; return whether it goes back, and is prepared once more.
+
+    On a busy machine the controller may be so late that the trial's own tolerance stops it.
+    """
+    log = page.get_by_role("listitem")
+    stops = log.filter(has_text=re.compile("trial: stopped: turn is .* from its reference"))
+    stopped = stops.count()
     page.get_by_role("button", name="Get ready").click()
     began = positions(harness)[-1]
     hold_until(page, "in force", "moving")
     harness.wait(lambda: abs(positions(harness)[-1] - began) > 0.05, what="the joint to move")
-    page.mouse.up()  # in the middle: it goes back, and is prepared once more
+    page.mouse.up()
     logged(page, of_trial("in force", "stopped: the button was released"))
     assert abs(wait_for_rest(harness) - began) > 0.03
-    back = "in force, back to where the motion began"
-    hold_until(page, back, "moving")
-    said(page, "in force, attempt 2", "ready: let go, then hold the button").wait_for()
+    hold_until(page, "in force, back to where the motion began", "moving")
+    ready = said(page, "in force, attempt 2", "ready: let go, then hold the button")
+    harness.wait(lambda: ready.count() or stops.count() > stopped, what="the way back")
     page.mouse.up()
+    if not ready.count():
+        wait_for_rest(harness)
+        return False
     assert positions(harness)[-1] == pytest.approx(began, abs=5e-3)
-    page.get_by_role("button", name="Cancel").click()
-    logged(page, "trial: cancelled")
+    return True
 
 
 @pytest.mark.faults
