@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -36,20 +37,31 @@ _MOST = 660_000  # messages
 _QUICK = 20
 """By which a quick turn has fewer."""
 _ROUNDS_AT_MOST = 3
+_BEGIN = """
+import atexit, sys
+def tell(file=sys.argv.pop(1)):  # not by rusage, which has the parent's peak, too
+    lines = open("/proc/self/status").read().splitlines()
+    open(file, "w").write(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
+atexit.register(tell)
+"""
+_NUMPY = "import numpy"
 _LOOP = """
-import sys
 from pathlib import Path
 from rosbags.highlevel import AnyReader
 with AnyReader([Path(sys.argv[1])]) as reader:
     for _ in reader.messages():
         pass
 """
+_METRICS = """
+from hpid_ros.cli.main import main
+sys.exit(main(["metrics", *sys.argv[1:]]))
+"""
 
 
 def group(quick: bool) -> Group:
     """Return the figures of large recordings."""
     count = _MOST // _QUICK if quick else _MOST
-    contenders: dict[str, Measure] = {"numpy": partial(_process, "-c", "import numpy")}
+    contenders: dict[str, Measure] = {"numpy": partial(_process, _NUMPY)}
     for shape in ("joints", "states"):
         for storage in ("mcap", "sqlite3"):
             for name in ("metrics", "report", "loop"):
@@ -82,6 +94,14 @@ def _figures() -> Iterator[Figure]:
                 ("peak",),
             )
         yield Figure(
+            f"large.{shape}.memory",
+            "MiB",
+            Source(f"report, {shape}, mcap", "peak"),
+            Source("numpy", "peak"),
+            "an interpreter with numpy",
+            (Bound("ours", most=300.0),),
+        )
+        yield Figure(
             f"large.{shape}.storages",
             "s",
             Source(f"metrics, {shape}, sqlite3", "seconds"),
@@ -103,33 +123,29 @@ def _bag(shape: str, storage: str, count: int) -> tuple[Path, tempfile.Temporary
 def _turn(name: str, shape: str, storage: str, count: int) -> Mapping[str, float]:
     bag = str(_bag(shape, storage, count)[0])
     if name == "loop":
-        return _process("-c", _LOOP, bag)
+        return _process(_LOOP, bag)
     with tempfile.TemporaryDirectory(prefix="hpid_bench_") as folder:
         report = ["--report", f"{folder}/report.html"] if name == "report" else []
-        return _process("-m", "hpid_ros.cli.main", "metrics", bag, "--format", "json", *report)
+        return _process(_METRICS, bag, "--format", "json", *report)
 
 
-def _process(*arguments: str) -> Mapping[str, float]:
+def _process(code: str, *arguments: str) -> Mapping[str, float]:
     """Run Python; return its processor time and wall time in [s], and its peak in [MiB]."""
-    begun = time.perf_counter()
-    null = os.open(os.devnull, os.O_WRONLY)
-    try:
-        child = os.posix_spawn(
-            sys.executable,
-            [sys.executable, *arguments],
-            {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": ""},
-            file_actions=[(os.POSIX_SPAWN_DUP2, null, 1)],
+    with tempfile.TemporaryDirectory(prefix="hpid_bench_") as folder:
+        peak, begun = Path(folder) / "peak", time.perf_counter()
+        child = subprocess.Popen(
+            [sys.executable, "-c", _BEGIN + code, str(peak), *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
-    finally:
-        os.close(null)
-    _, status, usage = os.wait4(child, 0)
-    if status:
-        raise RuntimeError(f"{' '.join(arguments)[:200]}: {os.waitstatus_to_exitcode(status)}")
-    return {
-        "seconds": usage.ru_utime + usage.ru_stime,
-        "wall": time.perf_counter() - begun,
-        "peak": usage.ru_maxrss / 1024,
-    }
+        _, status, usage = os.wait4(child.pid, 0)
+        wall = time.perf_counter() - begun
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode:
+            raise RuntimeError(f"{' '.join(arguments)[:200]}: {child.returncode}")
+        seconds = usage.ru_utime + usage.ru_stime
+        return {"seconds": seconds, "wall": wall, "peak": int(peak.read_text()) / 1024}
 
 
 def messages(shape: str, count: int, seed: int = 0) -> Iterator[tuple[str, int, bytes]]:

@@ -474,6 +474,7 @@ class JointRun:
 
 
 _SHOWN_JOINTS = 3
+_READING = 0.5  # share of the work that is reading the files, about
 
 
 def read_run(
@@ -500,7 +501,7 @@ def read_run(
         joints: The joints to read, before those of the selection.
         selection: Topics, joints, references, clock and window; all found by name and type if
             not given.
-        progress: Takes the share of the bag that has been read, in [0, 1].
+        progress: Takes the share of the work that is done, in [0, 1].
 
     Raises:
         BagError: If nothing of the bag can be read, or it lacks a topic or a joint that was
@@ -508,12 +509,13 @@ def read_run(
         SettingError: The joints are no joints.
     """
     chosen = selection or BagSelection()
+    told = progress or no_progress
     if joints is not None:
         chosen = replace(chosen, joints=joints)
     with opened(path) as storage:
         where = f"bag {storage.path}"
         try:
-            recording = _recording(storage, where, chosen, progress or no_progress)
+            recording = _recording(storage, where, chosen, lambda share: told(_READING * share))
         except BagError as error:
             if not storage.unreadable:
                 raise
@@ -527,7 +529,10 @@ def read_run(
         )
     joints = _joints(where, recording, chosen)
     try:
-        return _run(label, recording, joints, chosen, quality)
+        return _run(
+            *(label, recording, joints, chosen, quality),
+            lambda share: told(_READING + (1.0 - _READING) * share),
+        )
     except SeriesError as error:
         raise BagError(f"{where}: {error}") from error
 
@@ -636,10 +641,12 @@ def _run(
     joints: Sequence[str],
     selection: BagSelection,
     quality: RecordingQuality,
+    progress: Progress,
 ) -> RunSeries:
     """Return the series of all joints within the window."""
     spill, runs = Spill(), dict[str, JointRun]()
-    for joint in joints:
+    for number, joint in enumerate(joints):
+        progress(0.5 * number / len(joints))
         runs[joint] = JointRun(recording, joint, selection)
         runs[joint].set_aside(spill)
     origin_ns = min(int(run.states.stamps_ns[0]) for run in runs.values())
@@ -650,7 +657,8 @@ def _run(
         _FOREVER_NS if end is None else origin_ns + round(end * NANOSECONDS),
     )
     series, losses, qualities = KeptJoints(spill), {}, {}
-    for joint in joints:
+    for number, joint in enumerate(joints):
+        progress(0.5 + 0.5 * number / len(joints))
         found = runs.pop(joint).series(window)
         if found is not None:
             one, losses[joint], qualities[joint] = found
@@ -671,6 +679,7 @@ def _run(
                 series.append(one)
     recording.notes.extend((*recording.turn_lines(), *recording.reference_lines()))
     recording.notes.extend(_foreign_clocks(qualities))
+    progress(1.0)
     is_window = start is not None or end is not None
     streams = [each for found in qualities.values() for each in (found.states, found.commands)]
     if is_window and any(x.repeated or x.out_of_order or x.not_finite for x in streams):

@@ -175,8 +175,10 @@ class JointSeries:
     def __post_init__(self) -> None:
         if not self.joint:
             raise SeriesError("a joint series needs the name of its joint, got an empty one")
+        are_shared = self.command_stamps_ns is self.state_stamps_ns
         states = self._store("state_stamps_ns", self._stamps("state_stamps_ns"))
-        commands = self._store("command_stamps_ns", self._stamps("command_stamps_ns"))
+        commands = states if are_shared else self._stamps("command_stamps_ns")
+        self._store("command_stamps_ns", commands)
         if not states.size:
             raise SeriesError(f"joint {self.joint!r}: no state; at least one is needed")
         for name, stamps in (("position", states), ("reference", states), ("effort", commands)):

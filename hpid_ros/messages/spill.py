@@ -33,6 +33,7 @@ class Spill:
     def __init__(self) -> None:
         self._room, self._end = ROOM, 0
         self._file: Any = None
+        self._given: list[tuple[NDArray[Any], Stored]] = []  # what was read last, and from where
 
     def keep(self, array: NDArray[Any]) -> Kept:
         """Keep an array, which nobody changes any more.
@@ -40,6 +41,9 @@ class Spill:
         Raises:
             BagError: There is no room in the folder of temporary files.
         """
+        for given, where in self._given:
+            if given is array and not array.flags.writeable:
+                return where
         if array.nbytes <= self._room:
             self._room -= array.nbytes
             return array
@@ -60,11 +64,13 @@ class Spill:
         return stored
 
     def array(self, kept: Kept) -> NDArray[Any]:
-        """Return an array as it was kept."""
+        """Return an array as it was kept, read-only where it comes from the file."""
         if not isinstance(kept, Stored):
             return kept
         array: NDArray[Any] = np.empty(kept.shape, kept.dtype)
         self._read(array, kept.offset)
+        array.setflags(write=False)
+        self._given = [(array, kept), *self._given[:1]]
         return array
 
     def copy_row(self, kept: Kept, row: int, target: NDArray[Any]) -> None:

@@ -428,14 +428,16 @@ def _of_bag(
     with Storage(source.path) as bag:
         known = sliding_joints(bag, robot, selection.namespace)
         selection = replace(selection, kinds={**known.kinds, **selection.kinds})
-        series = read_run(bag, str(source.label), selection=selection, progress=told)
+        series = read_run(
+            bag, str(source.label), selection=selection, progress=lambda each: told(0.7 * each)
+        )
         series = series.with_slides(known.slides)
         if how.keeps_series:
             series = replace(series, retunes=read_retunes(bag))
     limits = dict(how.effort_limits)
     if ALL_JOINTS in limits:
         limits = dict.fromkeys(series.joint_names, limits.pop(ALL_JOINTS)) | limits
-    numbers = run_indices(series, how.cutoff, limits)
+    numbers = run_indices(series, how.cutoff, limits, lambda each: told(0.7 + 0.3 * each))
     if cut is not None:
         numbers = replace(numbers, cut=cut.text, shift=cut.shift)
     hand, unfollowed = _end_effector(how.robot, series)

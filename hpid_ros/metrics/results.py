@@ -10,7 +10,7 @@ other units.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias
 
@@ -408,6 +408,7 @@ def run_indices(
     run: RunSeries,
     cutoff: float = DEFAULT_CUTOFF,
     effort_limits: Mapping[str, float] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> RunIndices:
     """Return all numbers of one run.
 
@@ -422,10 +423,11 @@ def run_indices(
     for name, value in {"cut-off": cutoff, **texts}.items():
         if not (math.isfinite(value) and value > 0.0):
             raise SeriesError(f"the {name} must be positive and finite, not {value}")
-    numbers = {
-        each.joint: _numbers_of(each, run.start_ns, cutoff, limits.get(each.joint))
-        for each in run.joints
-    }
+    numbers: dict[str, _JointNumbers] = {}
+    for each in run.joints:
+        progress(len(numbers) / len(run.joints))
+        limit = limits.get(each.joint)
+        numbers[each.joint] = _numbers_of(each, run.start_ns, cutoff, limit)
     joints = {joint: each.indices for joint, each in numbers.items()}
     lacking = _lacking(run)
     norms = {}

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness.bags import JOINT_STATE, JOINT_TRAJECTORY, S, ramp, serialised, trajectory
+from harness.bags import (
+    JOINT_STATE,
+    JOINT_TRAJECTORY,
+    MS,
+    S,
+    ramp,
+    serialised,
+    small_log,
+    trajectory,
+    write_bag,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -421,6 +431,22 @@ def moved(path, ahead, late, noise=0.0, count=800):
         log.append(("/arm/reference", stamp_ns + 1e5, joint_state(stamp_ns, ["j1"], [r])))
     bag = write(path, dict.fromkeys(("/joint_states", "/arm/reference"), JOINT_STATE), log)
     return bag, t - ahead, reference - position
+
+
+@pytest.mark.parametrize("clock", ["shared", "out of order"])
+def test_log_times_that_are_shared_or_out_of_order_change_no_index(tmp_path, clock):
+    log = small_log(count=300)
+    jitter = np.random.default_rng(1).integers(-15 * MS, 15 * MS, len(log))
+    other = [
+        (topic, at - at % (100 * MS) if clock == "shared" else max(at + int(late), 0), raw)
+        for (topic, at, raw), late in zip(log, jitter, strict=True)
+    ]
+    found = [
+        measure(write_bag(tmp_path / name, each), "run").run.as_mapping()
+        for name, each in (("as sent", log), ("as logged", other))
+    ]
+    assert found[0] == found[1]
+    assert found[0]["totals"]["itae"] > 0.0
 
 
 def test_runs_begun_by_hand_are_laid_over_each_other_where_the_reference_moves(tmp_path, capsys):
