@@ -167,6 +167,8 @@ class JointController(ManagedNode):
         self._states: Any = None
         self._is_listening = self._is_timeout_reported = self._is_conflict_reported = False
         self._readiness: Any = None
+        self._is_simulated = False  # whether the states said so, and its clock was taken
+        self._has_refused_clock = False
         self._seen = SeenJoints()
         self._waiting = waiting or Waiting(self)
         self._waiting.add(self._awaited)
@@ -343,8 +345,8 @@ class JointController(ManagedNode):
             self._health.foreign += 1
             self._seen.newest = raw
             return
-        if self._reader.is_simulated and not self._loop.settings.timing.is_simulated:
-            self._know_as_simulated()
+        if self._reader.is_simulated is not self._is_simulated:
+            self._note_robot()
         model = self._model
         by_model = None if model is None else partial(model.answer, self._loop, sample, raw)
         effort = self._supervised.answer(*sample, began_ns, by_model)
@@ -360,12 +362,36 @@ class JointController(ManagedNode):
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 
-    def _know_as_simulated(self) -> None:
-        """Go by a clock that a reset puts back: the states say that their robot is simulated."""
-        self.set_parameters([Parameter("state_clock", value="simulated")])
-        self.get_logger().info(
-            "the states are those of a simulated robot: state_clock is simulated from here on"
-        )
+    def _note_robot(self) -> None:
+        """Go by the clock of the robot of which the states tell.
+
+        That of a simulated one is put back by a reset. Where a real robot's states have come, one
+        that says that it is simulated is another source, and takes no watchdog from the joint.
+        """
+        if not self._is_simulated:
+            if self._loop.settings.timing.is_simulated:
+                return
+            if self._loop.stamp_ns is not None:
+                if not self._has_refused_clock:
+                    self._has_refused_clock = True
+                    self.get_logger().warning(
+                        "states of a simulated robot have come after those of another one: they "
+                        "are another source, and state_clock stays wall"
+                    )
+                return
+            self._set_clock("simulated")
+            self.get_logger().info(
+                "the states are those of a simulated robot: state_clock is simulated"
+            )
+        else:
+            self._set_clock("wall")
+            self.get_logger().warning(
+                "the states are not those of a simulated robot any more: state_clock is wall"
+            )
+
+    def _set_clock(self, clock: str) -> None:
+        self._is_simulated = clock == "simulated"
+        self.set_parameters([Parameter("state_clock", value=clock)])
 
     def _is_left(self) -> bool:
         return not self._is_listening

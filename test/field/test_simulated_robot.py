@@ -1,16 +1,18 @@
 """What people reported of simulated robots: arms that fall at the start, and after a reset."""
 
 import numpy as np
-from harness.graph import ros_arguments
+from harness.graph import NAME, ros_arguments
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from hpid_ros.experiment.in_process import write_document
-from hpid_ros.messages.joint_state import decode_joint_state
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS
 
+SECOND, MS = 1_000_000_000, 1_000_000
 START, ASKED = -1.2, -2.4  # [rad] a horizontal arm, which falls towards 0; up from there
 URDF = """<robot name="arm"><link name="base"/>
 <joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
@@ -77,3 +79,47 @@ def test_an_arm_falls_neither_before_its_controller_comes_nor_after_a_reset(harn
     log = bridge.log.read_text()
     assert "commanded twice" not in log
     assert controller.log.read_text().count("state_clock is simulated") == 1
+
+
+def states_of(harness, frame_id):
+    """Return what publishes a state of a robot that says of itself what it is."""
+    template = JointStateTemplate(["elbow"], frame_id, position=True, velocity=True)
+    return lambda stamp_ns, position: harness.answer(
+        stamp_ns,
+        lambda: harness.states.publish(
+            template.encode(stamp_ns, position=[position], velocity=[0.0])
+        ),
+        again_after=0.05,
+    )
+
+
+def clock_of(harness):
+    request = GetParameters.Request(names=["state_clock"])
+    return harness.call(GetParameters, f"{NAME}/get_parameters", request).values[0].string_value
+
+
+def test_a_simulation_that_joins_a_real_robot_takes_no_watchdog_from_it(harness):
+    """A controller that goes by a simulated clock does not mind how long no state comes."""
+    controller = harness.start_controller(state_clock="wall")
+    states_of(harness, "")(SECOND, 0.1)
+    simulated = states_of(harness, "simulated")
+    for k in range(1, 4):
+        simulated(SECOND + k * MS, 0.1)
+    assert clock_of(harness) == "wall"
+    harness.wait(
+        lambda: "are another source, and state_clock stays wall" in controller.log.read_text(),
+        what="the line",
+    )
+    assert controller.log.read_text().count("another source") == 1
+
+
+def test_a_real_robot_that_follows_on_a_simulated_one_has_its_watchdog_again(harness):
+    controller = harness.start_controller(state_clock="wall")
+    simulated, real = states_of(harness, "simulated"), states_of(harness, "")
+    simulated(SECOND, 0.1)
+    assert clock_of(harness) == "simulated"
+    real(SECOND + MS, 0.1)
+    assert clock_of(harness) == "wall"
+    simulated(SECOND + 2 * MS, 0.1)
+    assert clock_of(harness) == "wall"
+    assert "not those of a simulated robot any more" in controller.log.read_text()
