@@ -50,7 +50,14 @@ EXTRAS = {
     # wheels for Python 3.10 to 3.13. It has 8.5 MB, Panel 30.
     "live": [NICEGUI],
     "docs": ["sphinx>=8.1,<9", "myst-parser>=4,<5", "furo>=2024.8"],  # make docs
-    "bench": ["simple-pid>=2.0,<3", "mcap>=1.2,<2"],  # peers of the laws and of the readers
+    "bench": [  # peers of the laws and of the readers
+        "simple-pid>=2.0,<3",
+        "mcap>=1.2,<2",
+        "mcap-ros2-support>=0.5.5,<1",
+        "mcap-ros2-support-fast>=0.8,<1",
+        "small-mcap>=0.16,<1",
+        "roboto-mcap-codec[pyarrow]>=0.3,<1",
+    ],
     "test": [
         "pytest>=8,<9",  # launch_testing of ROS stops any run of pytest 9
         "pytest-timeout>=2.3,<3",

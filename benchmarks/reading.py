@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,10 @@ def group(quick: bool) -> Group:
         for name in ("arrays", "messages", "bytes"):
             contenders[f"{name}, {kind}"] = partial(_turn, name, kind, minutes)
         figures += _figures(kind)
+    for name in PEERS:
+        if find_spec(PEERS[name][0]) is not None:
+            contenders[f"{name}, mcap"] = partial(_turn, name, "mcap", minutes)
+            figures.append(_against(name))
     return Group(contenders, tuple(figures), rounds_at_most=_ROUNDS_AT_MOST)
 
 
@@ -76,6 +81,17 @@ def _figures(kind: str) -> list[Figure]:
             (Bound("ratio", most=2.0),),
         ),
     ]
+
+
+def _against(name: str) -> Figure:
+    return Figure(
+        f"bags.mcap.{name.replace('-', '_')}",
+        "s",
+        Source("arrays, mcap", "seconds"),
+        Source(f"{name}, mcap", "seconds"),
+        f"{name}, every state and command",
+        (Bound("ratio", most=1.0),),
+    )
 
 
 @cache
@@ -133,10 +149,70 @@ def read_messages(bag: Path) -> int:
     return count
 
 
+_TOPICS = ("/joint_states", "/joint_commands")
+
+
+def _file_of(bag: Path) -> Path:
+    (file,) = bag.glob("*.mcap")
+    return file
+
+
+def read_with_mcap_ros2(bag: Path) -> int:
+    """Decode every state and command with mcap-ros2-support; return their number."""
+    from mcap_ros2.reader import read_ros2_messages
+
+    return sum(1 for _ in read_ros2_messages(str(_file_of(bag)), topics=_TOPICS))
+
+
+def read_with_small_mcap(bag: Path) -> int:
+    """Decode them with small-mcap and mcap-ros2-support-fast."""
+    from mcap_ros2_support_fast.decoder import DecoderFactory
+    from small_mcap import include_topics, read_message_decoded
+
+    with _file_of(bag).open("rb") as stream:
+        messages = read_message_decoded(
+            stream,
+            decoder_factories=[DecoderFactory()],
+            should_include=include_topics(list(_TOPICS)),
+        )
+        return sum(1 for each in messages if each.decoded_message is not None)
+
+
+def read_with_arrow(bag: Path) -> int:
+    """Decode them with roboto-mcap-codec into Arrow's columns; return the number of rows."""
+    import mcap_codec
+
+    count = 0
+    with _file_of(bag).open("rb") as stream:
+
+        def read(offset: int, length: int) -> bytes:
+            stream.seek(offset)
+            return stream.read(length)
+
+        size = _file_of(bag).stat().st_size
+        for topic in _TOPICS:
+            with mcap_codec.open_mcap_file(
+                read,
+                size,
+                channel=mcap_codec.TopicName(topic),
+                timestamp=mcap_codec.TimestampSource("message_log_time"),
+            ) as cursor:
+                count += sum(batch.num_rows for batch in cursor)
+    return count
+
+
+PEERS: dict[str, tuple[str, Callable[[Path], int]]] = {
+    "roboto-mcap-codec": ("mcap_codec", read_with_arrow),
+    "small-mcap": ("mcap_ros2_support_fast", read_with_small_mcap),
+    "mcap-ros2-support": ("mcap_ros2", read_with_mcap_ros2),
+}
+"""Other readers, each with the module that it needs: measured where they are installed."""
+
 CONTENDERS: dict[str, Callable[[Path], int]] = {
     "bytes": read_bytes,
     "arrays": read_arrays,
     "messages": read_messages,
+    **{name: read for name, (_, read) in PEERS.items()},
 }
 
 
