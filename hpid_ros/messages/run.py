@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import BagError, TrajectoryError
+from hpid_ros.base.errors import BagError, TrajectoryError, listed_names
 from hpid_ros.base.names import NamePatterns
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.reference import GRACE_NS, LATCHED_WITHIN, require_timely
@@ -136,7 +136,8 @@ class JointRun:
             recording.unwrap(joint, turns, self._kind)
         if clock == "header" and len(samples.values) > 1 and not self.states.stamps_ns.any():
             raise SeriesError(
-                f"joint {joint!r}: its states carry no stamps; read them with clock 'receive'"
+                f"joint {joint!r}: its states carry no stamps; read them with clock 'receive' "
+                "(--clock receive)"
             )
 
     def set_aside(self, spill: Spill) -> None:
@@ -164,7 +165,7 @@ class JointRun:
             raise SeriesError(
                 f"joint {self._joint!r}: the clock of its states went back by "
                 f"{behind.max() / NANOSECONDS:.3g} s, or two senders have clocks of their own; "
-                f"read them with clock 'receive'"
+                f"read them with clock 'receive' (--clock receive)"
             )
 
     def series(self, window: Window) -> tuple[JointSeries, Losses, DataQuality] | None:
@@ -474,6 +475,7 @@ class JointRun:
 
 
 _SHOWN_JOINTS = 3
+_SHOWN_OTHERS = 10
 _READING = 0.5  # share of the work that is reading the files, about
 
 
@@ -617,8 +619,20 @@ def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequ
     """Return the joints to read, all of which the states name."""
     known, concerned = recording.known_joints(), recording.concerned_joints()
     joints = [name for name in known if name in concerned]
-    if not joints and not concerned:
+    if not joints and (not concerned or selection.reference == HOLD):
         joints = known
+    commanded = {name for each in recording.floats.values() for name in each.joints()}
+    for name in sorted(commanded - {*known}) if known else ():
+        topic = recording.choice.command_topics[name].topic
+        recording.notes.append(
+            f"{topic}: {name!r}, after which it is called, is no joint of the states: its efforts "
+            "are not read (--command-topic JOINT=TOPIC[INDEX] says whose they are)"
+        )
+    if selection.joints is None and (others := [name for name in known if name not in joints]):
+        recording.notes.append(
+            f"left out, as nothing commands them and nothing is their reference: "
+            f"{listed_names(others, _SHOWN_OTHERS)} (--joint names joints to read)"
+        )
     if selection.joints is not None and known:
         try:
             return NamePatterns(selection.joints).chosen("joint", known, BagError, joints)
@@ -702,7 +716,7 @@ def _foreign_clocks(qualities: Mapping[str, DataQuality]) -> Iterator[str]:
     yield (
         f"states and commands of {shown}{f' and {more} more' if more > 0 else ''} are on clocks "
         f"that do not overlap: {_span_of(first.states)} and {_span_of(first.commands)} after the "
-        "first state; the energy is not computed (clock 'receive' gives both one clock)"
+        "first state; the energy is not computed (--clock receive gives both one clock)"
     )
 
 

@@ -585,10 +585,14 @@ def _parts(
 
 def _senders_line(topic: str, what: str, joints: Sequence[str], found: Senders) -> str:
     names = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
+    left = " and ".join(map(str, found.left))
+    if len(found.left) == len(found.each) - 1:
+        left = "the others are left out"
+    else:
+        left += " is left out" if len(found.left) == 1 else " are left out"
     return (
         f"{names} on {topic}: {what} of {len(found.each)} senders, {'; '.join(found.texts())}: "
-        f"sender {found.taken} is taken, the others are left out (--sender NUMBER, RATEHz or "
-        "LAYOUT takes another)"
+        f"sender {found.taken} is taken, {left} (--sender NUMBER, RATEHz or LAYOUT takes another)"
     )
 
 

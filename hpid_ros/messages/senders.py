@@ -32,6 +32,10 @@ _SHORT = 0.6  # of the usual period: such intervals are between two senders
 _SHARE = 0.02  # of the intervals; fewer are late messages
 _REGULAR = 0.8  # of the steps of one sender are as long as its period, within a fifth
 _WITHIN = 0.2
+_EXACT = 0.15  # so near are most steps of a sender to its period; of what comes by chance fewer
+_MOST = 0.7  # share of the steps, of few a larger one
+_EXPLAINED = 0.9  # share of the messages that are of the first two sequences of as many senders
+_MADE_UP = 0.9  # share of the other messages that come for one that is missing: they are late ones
 _PROBED = 1500  # messages from which periods are guessed
 _LAGS = 4  # at most so many senders share a layout
 _JOINTS = 4  # whose values are compared while sequences are followed
@@ -84,6 +88,7 @@ class Senders:
 
     each: tuple[Part, ...]
     taken: int  # which of them counts, from 1 on
+    left: tuple[int, ...]  # which of them are left out; the others contradict none that counts
     is_wanted: bool  # whether that is the one that was asked for
     left_out: _Integers  # places of the messages of the others
 
@@ -133,6 +138,7 @@ def find_senders(parts: Sequence[Part], wanted: str | None = None) -> Senders | 
     return Senders(
         tuple(found[k] for k in in_doubt),
         1 + in_doubt.index(order[0]),
+        tuple(n for n, k in enumerate(in_doubt, 1) if k not in kept),
         bool(named),
         np.sort(np.concatenate(left)),
     )
@@ -264,11 +270,45 @@ def _by_period(part: Part) -> list[Part]:
         found.append(np.sort(order[chain]))
         if np.count_nonzero(free) < FEWEST:
             break
+    if not fewest and not _tells_several(part, order, times, found):
+        return [part]
     if free.any() and found:
         rest = np.sort(order[free])
         if len(rest) >= FEWEST or len(found) < 2:
             found.append(rest)
     return [part.picked(each) for each in found] if len(found) > 1 else [part]
+
+
+def _tells_several(
+    part: Part, order: _Integers, times: Numbers, found: Sequence[_Integers]
+) -> bool:
+    """Return whether the first of some sequences is a sender's by its times, and not the only one.
+
+    What comes by hand or by chance keeps no period. What one sender sends late comes where a
+    message of its own is missing; that of another one comes besides.
+    """
+    if not found or has_equal(part.times_ns):
+        return True
+    is_first = np.isin(order, found[0])
+    first, others = times[is_first], times[~is_first]
+    steps = np.diff(first)
+    if not len(steps) or not len(others):
+        return bool(len(steps))
+    period = float(np.median(steps))
+    exact = np.mean(np.abs(steps - period) < _EXACT * period)
+    is_regular = exact >= min(_MOST + 1.0 / math.sqrt(len(steps)), 1.0)
+    if not is_regular and sum(map(len, found[:2])) < _EXPLAINED * len(times):
+        return False
+    missing = np.maximum(np.rint(steps / period).astype(np.int64) - 1, 0)
+    after = np.clip(np.searchsorted(first, others) - 1, 0, len(missing) - 1)
+    came = np.bincount(after, minlength=len(missing))
+    before = np.concatenate(([0], np.maximum(missing - came, 0)[:-1]))
+    return bool(np.minimum(came, missing + before).sum() < _MADE_UP * len(others))
+
+
+def has_equal(times_ns: _Integers) -> bool:
+    """Return whether two messages have one time."""
+    return bool((np.diff(np.sort(times_ns)) == 0).any())
 
 
 def _scaled(part: Part, order: _Integers) -> Numbers:

@@ -661,6 +661,10 @@ def _lines(run: RunSeries) -> Iterator[str]:
         if parts:
             listed = "; ".join(parts[:3]) + (f"; {len(parts) - 3} more" if len(parts) > 3 else "")
             yield f"run {run.label!r}: {stream} are not complete: {listed}"
+    alone = [name for name, each in joints.items() if each.states.count == 1]
+    if alone:
+        names = ", ".join(alone)
+        yield f"run {run.label!r}: a single state of {names}: integrals over no time are 0"
     received = [
         stream
         for stream in ("state", "command")

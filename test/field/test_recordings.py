@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from harness.bags import (
+    FLOATS,
     JOINT_STATE,
     JOINT_TRAJECTORY,
     MS,
     S,
+    floats,
     ramp,
     serialised,
     small_log,
@@ -23,6 +25,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.main import main
 from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.senders import Part, find_senders
 from hpid_ros.metrics import Measuring, measure
 from hpid_ros.metrics.measure import compare, measure_all
 
@@ -369,7 +372,7 @@ def test_of_several_senders_one_is_taken_and_all_are_named(tmp_path, kinds):
     (line,) = [each for each in found.defects if "senders" in each]
     assert f"states of {1 + len(kinds)} senders, sender 1: 500 messages, 50 Hz" in line
     assert "99 messages, 10 Hz" in line
-    assert "sender 1 is taken" in line
+    assert "sender 1 is taken, the others are left out" in line
 
 
 def test_a_sender_is_chosen_by_number_rate_or_layout(tmp_path, capsys):
@@ -396,6 +399,51 @@ def test_one_sender_with_jitter_noise_or_two_layouts_stays_one(tmp_path):
     assert found.series is not None
     assert found.series.joints[0].position.size == len(T)
     assert not any("senders" in line for line in found.defects)
+
+
+def part_of(times, positions):
+    """Return states of one layout as senders are looked for in them."""
+    stamps_ns = T0 + np.round(np.asarray(times) * S).astype(np.int64)
+    return Part("j1", stamps_ns, stamps_ns + MS, np.arange(len(times)), {"j1": positions}, {})
+
+
+def test_states_that_come_by_hand_are_of_one_sender():
+    """Poses that a person has taken, one by one: they keep no period."""
+    several = 0
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        count = int(random.integers(20, 200))
+        part = part_of(np.cumsum(random.uniform(4, 20, count)), random.uniform(-1, 1, count))
+        several += find_senders([part]) is not None
+    assert several <= 4
+
+
+@pytest.mark.parametrize("strays", [0, 3])
+def test_a_sender_that_is_late_and_makes_up_for_it_is_one(strays):
+    """A timer of 10 ms, one tick in ten 10 ms late; some more besides."""
+    ticks = 0.01 * np.arange(4000)
+    late = np.where(np.arange(4000) % 10 == 7, 0.01, 0.0) + np.where(
+        np.arange(4000) % 10 == 8, 0.002, 0.0
+    )
+    late[1003 : 1003 + 900 * strays : 900] += 0.008
+    times = np.sort(ticks + late)
+    steps = np.random.default_rng(1).choice([0.0, 2.69], 4000, p=[0.9, 0.1]).cumsum()
+    assert find_senders([part_of(times, np.sin(0.3 * times) + steps)]) is None
+
+
+@pytest.mark.parametrize("jitter", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize("rate", [5, 10, 50])
+def test_two_senders_of_one_layout_are_told_apart_though_both_jitter(jitter, rate):
+    random = np.random.default_rng(rate)
+    one = np.arange(600) / 50 + random.normal(0.0, jitter / 50, 600)
+    other = np.arange(1, int(11.9 * rate)) / rate + 0.0033
+    other += random.normal(0.0, jitter / 50, other.size)
+    times = np.concatenate((one, other))
+    positions = np.concatenate((0.5 * np.sin(2 * one), 0.5 * np.sin(2 * other - 0.3) + 0.2))
+    order = np.argsort(times)
+    found = find_senders([part_of(times[order], positions[order])])
+    assert found is not None
+    assert len(found.left_out) == pytest.approx(other.size, abs=max(3, 0.05 * other.size))
 
 
 def test_two_controllers_of_one_joint_are_not_one(tmp_path):
@@ -504,3 +552,36 @@ def test_a_motion_that_no_run_has_cannot_align_them(tmp_path, capsys):
     assert "none moves in still" in capsys.readouterr().err
     assert main(["metrics", str(still), "--align", "sideways"]) == 2
     assert "auto, begin, motion, none" in capsys.readouterr().err
+
+
+def test_a_single_state_and_joints_that_are_left_out_are_told(tmp_path):
+    raw = joint_state(T0, ["j1"], [0.1], [0.0], [1.0])
+    bag = write(tmp_path / "one", {"/joint_states": JOINT_STATE}, [("/joint_states", T0, raw)])
+    (line,) = [x for x in measure(bag, "run").defects if "single state" in x]
+    assert line == "run 'run': a single state of j1: integrals over no time are 0"
+
+    bag = write_bag(tmp_path / "two", small_log(count=50))
+    (line,) = [x for x in measure(bag, "run").defects if "left out" in x]
+    assert line.startswith("run 'run': left out, as nothing commands them and nothing is their")
+    assert "reference: b (--joint names joints to read)" in line
+
+
+def test_efforts_that_are_called_after_no_joint_stop_nothing(tmp_path, capsys):
+    """danieffe/7-DOF-robotic-manipulator-arm-dynamic-control: /effort_controller/commands."""
+    kinds = {"/joint_states": JOINT_STATE, "/effort_controller/commands": FLOATS}
+    log = []
+    for k in range(100):
+        stamp_ns = T0 + k * S // 100
+        raw = joint_state(stamp_ns, ["j1"], [0.01 * k], [0.0])
+        log.append(("/joint_states", stamp_ns, raw))
+        log.append(("/effort_controller/commands", stamp_ns + MS, floats(0.1 * k)))
+    bag = write(tmp_path / "bag", kinds, log)
+    command = ["metrics", str(bag), "--reference", "hold", "--format", "json"]
+    assert main([*command, "--commands", "effort"]) == 0
+    found = capsys.readouterr()
+    assert "'effort', after which it is called, is no joint of the states" in found.err
+    assert json.loads(found.out)["runs"]["bag"]["totals"]["itae"] > 0.0
+    topic = "j1=/effort_controller/commands[0]"
+    assert main([*command, "--command-topic", topic]) == 0
+    runs = json.loads(capsys.readouterr().out)["runs"]
+    assert runs["bag"]["totals"]["ivc"] == pytest.approx(9.9)
