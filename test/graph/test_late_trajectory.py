@@ -30,7 +30,8 @@ def test_a_publisher_that_is_found_late_has_sent_nothing_new(harness, tmp_path):
     joints.run(lambda: min(joints.position.values()) > 0.09, what="the first motion")
     joints.run_for(1.0)
     os.kill(publisher.process.pid, signal.SIGSTOP)  # nobody who comes now finds it
-    joints.start_action("late")
+    late = joints.start_action("late")
+    joints.run(lambda: "ready for goals" in late.log.read_text(), what="states at the action")
     client, heard = Client(joints, "late"), []
     harness.node.create_subscription(
         JointTrajectory, "joint_trajectory", lambda each: heard.append(from_message(each)), LATCHED
