@@ -100,7 +100,8 @@ def test_a_controller_that_begins_takes_up_what_is_latched_though_it_has_ended(h
     joint.run(until=lambda: joint.told.says(level=b"\x00", refused_references="0"))
     publisher.publish(trajectory(SECOND, 2.0))  # and once it follows something no more
     joint.run(until=lambda: joint.told.says(level=b"\x01", refused_references="1"))
-    assert joint.position == pytest.approx(0.3, abs=0.01)
+    assert joint.position < 0.4
+    joint.run(until=lambda: max(abs(joint.position - 0.3), abs(joint.velocity)) < 1e-3)
 
 
 @pytest.mark.parametrize(
