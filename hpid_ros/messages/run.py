@@ -40,7 +40,13 @@ from hpid_ros.messages.references import (
     setpoint_events,
     together,
 )
-from hpid_ros.messages.selection import BagSelection, RecordedRun, TopicChoice, choose_topics
+from hpid_ros.messages.selection import (
+    REPORTS,
+    BagSelection,
+    RecordedRun,
+    TopicChoice,
+    choose_topics,
+)
 from hpid_ros.messages.series import (
     GIVEN,
     HOLD,
@@ -580,6 +586,11 @@ def _recording(
         recording.notes.append(
             f"{', '.join(choice.in_doubt)}: efforts, positions or velocities, their types do not "
             "say which: not read; --commands effort takes them for efforts"
+        )
+    if choice.nameless and not choice.references.controller_state:
+        recording.notes.append(
+            f"{', '.join(choice.nameless)}: errors and outputs of a PID, which name no joint: not "
+            f"read; record what names them ({' or '.join(REPORTS)})"
         )
     return recording
 

@@ -222,6 +222,8 @@ def joint_of(topic: str) -> str:
 _FLOATS = (FLOAT64, FLOAT64_MULTI_ARRAY)
 REPORTS = (CONTROLLER_STATE, MULTI_DOF_STATE)
 """Types in which controllers of ros2_control report reference and output of each joint."""
+_WITHOUT_JOINT = ("control_msgs/msg/PidState", "control_msgs/msg/JointControllerState")
+"""Types in which a single PID reports, which name no joint."""
 _EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
 _COMMANDS_OF_A_JOINT = ("command", "commands")
 """Positions, velocities or efforts: only who ran the controllers knows."""
@@ -263,6 +265,7 @@ class TopicChoice:
     in_doubt: tuple[str, ...] = ()  # topics that may carry efforts, or something else
     others: tuple[str, ...] = ()  # of commands, taken for another robot's, where there are no more
     relays: tuple[str, ...] = ()  # where controllers are asked for relays
+    nameless: tuple[str, ...] = ()  # on which a single PID reports without its joint's name
 
     def measured(self) -> TopicChoice:
         """Return the same with the efforts that the states measured, and no others."""
@@ -332,6 +335,7 @@ class _Chooser:
             relays=tuple(
                 name for name in self.below(FLOAT64_MULTI_ARRAY) if last_part(name) == "relay"
             ),
+            nameless=tuple(self.own(*_WITHOUT_JOINT)),
         )
         if are_missed:
             return choice.measured()

@@ -525,8 +525,16 @@ class BulletPhysics:
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
         states: Sequence[tuple[float, float]] = self.client.getJointStates(self.body, self.driven)
-        if not math.isfinite(sum(state[0] + state[1] for state in states)):
-            raise RunError("PyBullet: the simulation diverged, a joint's state is not finite")
+        if not sum(abs(state[1]) for state in states) < _NO_SPEED_LIMIT:
+            joint, (position, speed, *_) = max(
+                zip(self._settings.joints, states, strict=True),
+                key=lambda each: math.inf if math.isnan(each[1][1]) else abs(each[1][1]),
+            )
+            raise RunError(
+                f"PyBullet: the simulation diverged: joint {joint!r} is at {position:.3g} with a "
+                f"speed of {speed:.3g}; it does so where joints in a row have much friction and "
+                "links that weigh little (engine: mujoco runs those), or a law is unstable"
+            )
         return states
 
     def advance(self, torques: Sequence[float], steps: int = 1) -> None:

@@ -32,7 +32,7 @@ from hpid_ros.metrics.measure import compare, measure_all
 T0 = 1_700_000_000 * S
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 DOF, DOFS = "control_msgs/msg/SingleDOFState", "control_msgs/msg/MultiDOFStateStamped"
-STRING = "std_msgs/msg/String"
+PID_STATE, STRING = "control_msgs/msg/PidState", "std_msgs/msg/String"
 POINTS = ("reference", "feedback", "error", "output")
 URDF = """<robot name="r"><link name="base"/><link name="arm"/><joint name="j1" type="{}">
 <parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
@@ -49,6 +49,10 @@ def store():
     numbers = ("reference", "feedback", "feedback_dot", "error", "error_dot", "time_step")
     text = "string name\n" + "".join(f"float64 {name}\n" for name in (*numbers, "output"))
     types.register(get_types_from_msg(text, DOF))
+    numbers = ("error", "error_dot", "p_error", "i_error", "d_error", "p_term", "i_term", "d_term")
+    text = "std_msgs/Header header\nbuiltin_interfaces/Duration timestep\n"
+    text += "".join(f"float64 {name}\n" for name in (*numbers, "i_max", "i_min", "output"))
+    types.register(get_types_from_msg(text, PID_STATE))
     text = "std_msgs/Header header\ncontrol_msgs/SingleDOFState[] dof_states\n"
     types.register(get_types_from_msg(text, DOFS))
     return types
@@ -271,6 +275,25 @@ def test_what_a_pid_controller_reports_is_reference_and_effort(tmp_path):
     # What it controls of the wheel is a velocity.
     assert "itae" not in found.run.joints["a_wheel"]
     assert any("reports no positions of a_wheel" in line for line in found.defects)
+
+
+def test_what_a_pid_says_without_a_joint_is_named_where_nothing_says_more(tmp_path):
+    pid, reports_too = "/pid_controller/j1/pid_state", "/arm/controller_state"
+    kinds = {"/joint_states": JOINT_STATE, pid: PID_STATE}
+    fields = (0.1, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0)
+    timestep = STORE.types["builtin_interfaces/msg/Duration"](0, 10 * MS)
+    log = states(LATE)
+    log += [
+        (pid, T0 + k * 10 * MS + 3e5, made(PID_STATE, header(T0 + k * 10 * MS), timestep, *fields))
+        for k in range(len(T))
+    ]
+    alone = j1(write(tmp_path / "alone", kinds, log))
+    line = f"{pid}: errors and outputs of a PID, which name no joint: not read; record what names"
+    assert any(line in each for each in alone.defects)
+    kinds[reports_too] = CONTROLLER_STATE
+    beside = j1(write(tmp_path / "beside", kinds, log + reports(reports_too, WAVE)))
+    assert not any("of a PID" in each for each in beside.defects)
+    assert beside.run.joints["j1"]["itae"] == pytest.approx(itae(T, WAVE - LATE), rel=1e-12)
 
 
 # Turns -----------------------------------------------------------------------------------------

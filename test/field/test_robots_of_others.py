@@ -12,7 +12,7 @@ from harness.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.base.records import Section
 from hpid_ros.cli.main import main
 from hpid_ros.robot import mending
@@ -293,6 +293,41 @@ def test_too_many_links_that_move_are_one_line_with_the_way_out():
 
 
 # --- words
+
+
+def finger(damping: float) -> str:
+    """Return two crossed joints that move next to nothing."""
+    small = inertial(0.01, "1e-6 0 0 1e-6 0 1e-6").replace("0.2", "0.02")
+    link = f'<link name="l{{0}}">{small}</link>'
+    joint = """<joint name="j{0}" type="revolute"><parent link="l{1}"/><child link="l{0}"/>
+<origin xyz="0 0 {2}"/><axis xyz="{3}"/><limit lower="-1" upper="1" effort="1" velocity="5"/>
+<dynamics damping="{4}"/></joint>"""
+    parts = [
+        link.format(1),
+        link.format(2),
+        joint.format(1, 0, 0.0, "1 0 0", damping),
+        joint.format(2, 1, 0.04, "0 1 0", damping),
+    ]
+    return f'<robot name="finger"><link name="l0"/>{"".join(parts)}</robot>'
+
+
+@BOTH
+def test_a_hand_with_much_friction_moves_as_it_must_or_the_run_ends_with_a_line(engine: str):
+    def moved(damping: float) -> tuple[float, ...]:
+        settings = WorldSettings(finger(damping), ("j1", "j2"), fixed_base=True, engine=engine)
+        with World(settings) as world:
+            for _ in range(200):
+                world.step([0.1 * damping] * 2)
+                world.true_positions()
+            return world.true_positions()
+
+    assert moved(0.01) == pytest.approx([0.02, 0.02], abs=3e-3)
+    if engine == "mujoco":
+        assert moved(0.1) == pytest.approx([0.02, 0.02], abs=3e-3)
+        return
+    line = r"PyBullet: the simulation diverged: joint 'j\d' is at .*\(engine: mujoco "
+    with pytest.raises(RunError, match=line):
+        moved(0.1)
 
 
 @pytest.mark.parametrize(
