@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.series import JointSeries, RunSeries
 
@@ -71,6 +72,26 @@ class RunWindow(NamedTuple):
 
     start: float  # [s] since the first state of any joint
     end: float | None = None  # likewise; None for as long as all recordings last
+
+
+def parse_windows(texts: Sequence[str]) -> dict[str, RunWindow]:
+    """Return the windows of single recordings, ``LABEL=START`` or ``LABEL=START:END``."""
+    windows: dict[str, RunWindow] = {}
+    for text in texts:
+        label, _, times = text.rpartition("=")
+        start, _, end = times.partition(":")
+        try:
+            window = RunWindow(float(start), float(end) if end else None)
+            is_window = 0.0 <= window.start < (math.inf if window.end is None else window.end)
+        except ValueError:
+            is_window = False
+        if not label or not is_window:
+            raise SettingError(
+                f"a window must be LABEL=START or LABEL=START:END in s, with 0 <= START < END, "
+                f"got {text!r}"
+            )
+        windows[label] = window
+    return windows
 
 
 def window_cuts(

@@ -12,8 +12,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from hpid_ros.base.errors import SettingError, reason_of
 from hpid_ros.base.records import Record, names_of, quantity
-from hpid_ros.messages.selection import BagSelection, parse_command_topics
-from hpid_ros.metrics.alignment import ALIGNMENTS
+from hpid_ros.messages.selection import CLOCKS, BagSelection, parse_command_topics
+from hpid_ros.metrics.alignment import ALIGNMENTS, parse_windows
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure, measure_all
 from hpid_ros.metrics.quantities import ANGLE_UNITS, Quantity, find_quantities
@@ -81,6 +81,13 @@ class MetricsParameters(Record):
     )
     indices: str = quantity("Comma-separated: paper, step, all, or keys", default="paper")
     keep_running: bool = quantity("Stay, with the result latched on ~/indices", default=False)
+    namespace: str = quantity("Which of several robots", default="")
+    states: tuple[str, ...] | None = quantity(
+        "Topics of the joint states, each joint on one of them; found if left out", default=None
+    )
+    clock: str = quantity(
+        f"Whose time the numbers have: {', '.join(CLOCKS)}", default="header", choices=CLOCKS
+    )
     reference: str = quantity("Topic of the reference, its kind, or hold", default="auto")
     commands: str = quantity("Topic of the efforts; effort; none", default="")
     command_topics: tuple[str, ...] | None = quantity(
@@ -95,6 +102,10 @@ class MetricsParameters(Record):
         default="auto",
         choices=ALIGNMENTS,
     )
+    windows: tuple[str, ...] | None = quantity(
+        "LABEL=START[:END] of single bags, in s after the first state, instead of align",
+        default=None,
+    )
     robot_description: str = quantity(
         "URDF that says which joints slide, in m and N; else the bags say it", default=""
     )
@@ -103,6 +114,9 @@ class MetricsParameters(Record):
         """Return what is read from a bag."""
         return BagSelection(
             joints=self.joints,
+            namespace=self.namespace or None,
+            states=self.states,
+            clock=self.clock,
             commands=self.commands or None,
             command_topics=parse_command_topics(self.command_topics or ()),
             reference=self.reference,
@@ -132,6 +146,7 @@ class BagMetrics(executor.ClosingNode):
             description=RobotDescription.load(robot_source(robot)) if robot else None,
             keeps_series=False,
             align=asked.align,
+            windows=parse_windows(asked.windows or ()),
         )
         self._format, self._units = asked.format, asked.units
         self._paper = asked.indices == "paper"

@@ -78,6 +78,17 @@ def test_the_numbers_of_its_bags_are_latched_with_their_units(harness, heard, tm
     assert set(values(heard[0])["first: all joints"]) == {"IVC [N m, N]", "RMSE [deg, m]"}
 
 
+def test_parts_of_its_bags_are_compared(harness, heard, tmp_path):
+    bags = [record(tmp_path / "first"), record(tmp_path / "second", gain=2.0)]
+    listed = f"[{bags[0]}, {bags[1]}]"
+    start(harness, bags=listed, keep_running=True, windows="['second=0.1:0.3']", clock="receive")
+    harness.wait(lambda: heard, what="the indices")
+    part = BagSelection(start=0.1, end=0.3, clock="receive")
+    ivc = run_indices(read_run(bags[1], "second", selection=part)).joints["elbow"]["ivc"]
+    found = float(values(heard[0])["second: elbow"]["IVC [N m]"])
+    assert found == pytest.approx(ivc, rel=0.02)
+
+
 def test_each_bag_that_is_finished_in_a_watched_folder_is_reported(harness, heard, tmp_path):
     baseline = record(tmp_path / "baseline")
     folder = tmp_path / "recordings"

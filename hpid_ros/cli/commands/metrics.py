@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import shlex
 import sys
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.terminal import output_console, reading
 from hpid_ros.experiment.result_folder import ResultFolder, check_place, versions
 from hpid_ros.messages.selection import BagSelection, Reference, parse_command_topics
-from hpid_ros.metrics.alignment import RunWindow
+from hpid_ros.metrics.alignment import RunWindow, parse_windows
 from hpid_ros.metrics.measure import (
     ALL_JOINTS,
     Measuring,
@@ -120,25 +119,9 @@ def _reference(text: str) -> Reference:
 
 
 def _windows(options: argparse.Namespace) -> dict[str, RunWindow]:
-    """Return the windows of single recordings, ``LABEL=START`` or ``LABEL=START:END``."""
-    windows: dict[str, RunWindow] = {}
     if options.window and (options.start is not None or options.end is not None):
         raise SettingError("--window is of one bag, --start and --end of all: not both")
-    for text in options.window:
-        label, _, times = text.rpartition("=")
-        start, _, end = times.partition(":")
-        try:
-            window = RunWindow(float(start), float(end) if end else None)
-            is_window = 0.0 <= window.start < (math.inf if window.end is None else window.end)
-        except ValueError:
-            is_window = False
-        if not label or not is_window:
-            raise SettingError(
-                f"--window must be LABEL=START or LABEL=START:END in s, with 0 <= START < END, "
-                f"got {text!r}"
-            )
-        windows[label] = window
-    return windows
+    return parse_windows(options.window)
 
 
 def _effort_limits(texts: Sequence[str]) -> dict[str, float]:
