@@ -19,6 +19,7 @@ import sqlite3
 import struct
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -52,10 +53,17 @@ ROS1 = "ros1"
 _KEY = "rosbag2_bagfile_information"
 
 
-def read_metadata(folder: Path) -> dict[str, Any]:
+def read_metadata(folder: Path) -> Mapping[str, Any]:
     path = folder / METADATA
     if not path.is_file():
         raise BagError(f"{METADATA} is {'no file' if path.exists() else 'missing'}")
+    found = path.stat()
+    return _metadata_of(path, (found.st_ino, found.st_mtime_ns, found.st_size))
+
+
+@lru_cache(maxsize=16)
+def _metadata_of(path: Path, version: tuple[int, ...]) -> dict[str, Any]:
+    """Return what a file says as it is now: a bag's label is looked up before it is opened."""
     document = load_yaml(path, BagError)
     metadata = document.get(_KEY) if isinstance(document, Mapping) else None
     if not isinstance(metadata, dict):
@@ -477,7 +485,7 @@ class Storage:
             self._further += 1
             self.unreadable[_MOST_LINES:] = [f"{self._further} further lines like these"]
 
-    def _metadata(self) -> dict[str, Any]:
+    def _metadata(self) -> Mapping[str, Any]:
         """Return what ``metadata.yaml`` says; nothing if it is missing or damaged."""
         if not (self.path / METADATA).exists():
             if all(_suffix(file) == ".bag" for file in _bag_files(self.path)):
