@@ -80,10 +80,10 @@ def pids_of(sections: Mapping[str, Mapping[str, Any]], where: str) -> Pids | Non
             node = controller_name(joint)
             if nodes.setdefault(node, values) != values:
                 raise SettingError(
-                    f"{where}: {joint!r} has gains in {owners[joint]} and others in {name}: leave "
+                    f"{where}: {joint!r} has gains in {owners[joint]} and others in {section}: leave "
                     "one of them in the file"
                 )
-            owners.setdefault(joint, name)
+            owners.setdefault(joint, section)
     if not is_any:
         return None
     if not nodes:
@@ -189,7 +189,7 @@ class _Controller:
                 )
             gains = self._gains.get(joint)
             if gains is None:
-                self._remark("has no gains: left out", joint)
+                self._remark("no gains, left out", joint)
                 continue
             yield joint, {"joint": joint, **timing, **self._values(joint, gains)}
         if self._own.get("command_joints", self._own.get("joints")) != self._own.get("joints"):

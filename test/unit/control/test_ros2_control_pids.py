@@ -168,7 +168,7 @@ def test_a_pid_controller_of_positions_is_taken_too():
     [
         (trajectory({"j1": GAINS}, command_interfaces=["velocity"]), "commands velocity, not eff"),
         (trajectory({"j1": GAINS}, command_interfaces=["position"]), "uses no PID"),
-        (trajectory({}, joints=["j1"]), "j1: has no gains"),
+        (trajectory({}, joints=["j1"]), "j1: no gains"),
         (pid({"j1": GAINS}, command_interface="velocity"), "commands velocity, not effort"),
         (pid({"j1": GAINS}, reference_and_state_interfaces=["velocity"]), "not position"),
         (trajectory({"$(var prefix)j1": GAINS}), "substitution of launch"),
@@ -229,7 +229,7 @@ def test_two_controllers_of_a_joint_must_agree():
     document["other"] = document["arm"]
     assert len(parameters_from(document, "file").loops) == 1
     document |= {"other": trajectory({"j1": {**GAINS, "p": 1.0}})["arm"]}
-    with pytest.raises(SettingError, match="'j1' has gains in arm and others in other"):
+    with pytest.raises(SettingError, match="'j1' has gains in /arm and others in /other"):
         parameters_from(document, "file")
 
 
