@@ -80,8 +80,8 @@ def pids_of(sections: Mapping[str, Mapping[str, Any]], where: str) -> Pids | Non
             node = controller_name(joint)
             if nodes.setdefault(node, values) != values:
                 raise SettingError(
-                    f"{where}: {joint!r} has gains in {owners[joint]} and others in {section}: leave "
-                    "one of them in the file"
+                    f"{where}: {joint!r} has gains in {owners[joint]} and others in {section}: "
+                    "leave one of them in the file"
                 )
             owners.setdefault(joint, section)
     if not is_any:
