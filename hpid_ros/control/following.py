@@ -12,8 +12,9 @@ is
   zero rate at both ends. The reference stays between :math:`r_0` and the motion, whatever the
   motion does meanwhile, and messages that come during a glide do not change its end.
 - An **offset** :math:`\delta` takes what a message moves the motion by at the instant at which it
-  begins, its position alone, and fades. c stays within the positions of the motion, and those
-  where it stood.
+  begins, its position alone, and fades. Where it is to fade much longer than it was, the rate that
+  it has ends when it would have ended, as an offset of its own: else it would swing. c stays
+  within the positions of the motion, and those where it stood.
 
 A motion whose first point is yet to come needs neither: its spline begins where the reference is
 (``Column.start``). If the reference moves faster than that spline may begin, the offset takes the
@@ -44,6 +45,7 @@ _SWING = 0.1755  # largest way of an offset that begins with a velocity, of velo
 _STREAM_NS = NANOSECONDS  # a message so long after the end of the last one belongs to its stream
 _LONGEST = 3600.0  # [s] of a glide
 _MOST_WAITING = 64  # motions that begin later
+_MOST_FADING = 8  # offsets: the newest, and rates of those before it
 
 
 class Glide(NamedTuple):
@@ -119,7 +121,6 @@ class Offset(NamedTuple):
         )
 
 
-_NONE = Offset(0.0, 0.0, 0.0, 0, 0)
 _NOWHERE = Pace()
 
 
@@ -145,10 +146,10 @@ class _Here(NamedTuple):
 
     position: float  # [rad]
     velocity: float  # [rad/s]
-    motion: float  # [rad] where the motion itself is
-    joined: Sequence[float]  # the motion with its offset
-    offset: Sequence[float] | None  # and derivatives; None where it is held back
-    offset_end_ns: int  # [ns] when it has faded; now if there is none
+    motion: Sequence[float]  # where the motion itself is, and its derivatives
+    joined: float  # [rad] where it is with its offsets
+    is_held: bool  # whether those are held back
+    offset_end_ns: int  # [ns] when all have faded; now if there is none
     glide_end_ns: int  # [ns] likewise
     is_running: bool  # whether it moves by a glide, or by a stream of messages
     has_ended: bool  # whether the motion itself rests
@@ -166,7 +167,7 @@ class Following:
             "_glide",
             "_hull",
             "_is_first",
-            "_offset",
+            "_offsets",
             "_reference",
             "_arrived",
             "_waiting",
@@ -217,8 +218,8 @@ class Following:
         self.has_waited = isinstance(self.motion, Setpoint)
         self._reference: Reference | None = None
         self._glide: Glide | None = None
-        self._offset = _NONE
-        self._hull = -math.inf, math.inf  # [rad] where motion and offset may lead
+        self._offsets: tuple[Offset, ...] = ()
+        self._hull = -math.inf, math.inf  # [rad] where motion and offsets may lead
         self._is_first = True
         self.gives_effort = self.has_new_motion = False
         self.position = self.velocity = self.acceleration = 0.0
@@ -226,7 +227,7 @@ class Following:
     def stand(self, position: float) -> None:
         """Hold a position until there is a motion."""
         self._reference, self._active = Setpoint(position), None
-        self._glide, self._offset = None, _NONE
+        self._glide, self._offsets = None, ()
         self.position, self.velocity, self.acceleration = position, 0.0, 0.0
 
     def end_timed_motion(self) -> None:
@@ -234,7 +235,7 @@ class Following:
         self._waiting = ()  # they were to begin by this clock
         if self._active is not None and self._active.goes_by_time:
             self._active = self._reference = Setpoint(self.position)
-            self._glide, self._offset = None, _NONE
+            self._glide, self._offsets = None, ()
             self.motion = self._arrived[-1] if self._arrived else self._active
 
     def take_over(
@@ -265,8 +266,8 @@ class Following:
         """
         if self._glide is not None and stamp_ns >= self._glide.end_ns:
             self._glide = None
-        if self._offset is not _NONE and stamp_ns >= self._offset.end_ns:
-            self._offset = _NONE
+        if self._offsets:
+            self._offsets = tuple(each for each in self._offsets if stamp_ns < each.end_ns)
         if self._arrived or self._waiting:
             self._begin_due(stamp_ns, duration, limits)
         wanted = self._at(stamp_ns)
@@ -285,19 +286,27 @@ class Following:
             return 0.0
         return self._reference.effort(stamp_ns)
 
-    def _joined(self, stamp_ns: int) -> Sequence[float]:
-        """Return the motion with its offset, within where they may lead."""
+    def _joined(self, stamp_ns: int) -> tuple[Sequence[float], bool]:
+        """Return the motion with its offsets, and whether it is held where they may lead."""
         onto = self._reference.sample(stamp_ns)  # type: ignore[union-attr]
-        if self._offset is _NONE:
-            return onto
-        position, velocity, acceleration = (
-            one + other for one, other in zip(onto, self._offset.sample(stamp_ns), strict=True)
-        )
-        inside = min(max(position, self._hull[0]), self._hull[1])
-        return (inside, 0.0, 0.0) if inside != position else (position, velocity, acceleration)
+        if not self._offsets:
+            return onto, False
+        position, velocity, acceleration = onto
+        for offset in self._offsets:
+            away, rate, change = offset.sample(stamp_ns)
+            position, velocity, acceleration = (
+                position + away,
+                velocity + rate,
+                acceleration + change,
+            )
+        lowest, highest = self._hull  # the motion itself may lead beyond
+        inside = min(max(position, min(lowest, onto[0])), max(highest, onto[0]))
+        if inside == position:
+            return (position, velocity, acceleration), False
+        return (onto if inside == onto[0] else (inside, 0.0, 0.0)), True
 
     def _at(self, stamp_ns: int) -> Sequence[float]:
-        joined = self._joined(stamp_ns)
+        joined, _ = self._joined(stamp_ns)
         return joined if self._glide is None else self._glide.sample(stamp_ns, joined)
 
     def _begin_due(self, stamp_ns: int, duration: float, limits: MotionLimits | None) -> None:
@@ -337,7 +346,7 @@ class Following:
         is_exact = motion.goes_by_time and motion.first_ns(stamp_ns) == stamp_ns
         has_begun = is_under_way or is_exact
         goes_on = (is_exact and is_in_time) or (has_begun and here.is_running)
-        nearest = here.joined[0] if goes_on else here.position
+        nearest = here.joined if goes_on else here.position
         turns = whole_turns(nearest - motion.target(stamp_ns), turn) if turn else 0.0
         self._active = motion
         has_waited = self.has_waited and (is_exact or not motion.goes_by_time)
@@ -348,7 +357,7 @@ class Following:
             else:
                 self._glide_onto(here, motion.pace, turns, stamp_ns, duration)
             return
-        self._glide, self._offset = None, _NONE
+        self._glide, self._offsets = None, ()
         way = motion.start(stamp_ns, here.position - turns, here.velocity)
         self._reference = shifted(way, turns)
         if motion.goes_by_time and duration and not is_exact:
@@ -357,27 +366,27 @@ class Following:
     def _here(self, stamp_ns: int, limits: MotionLimits | None) -> _Here:
         """Return where the reference stands before another motion is begun with."""
         position, velocity, _ = self._at(stamp_ns)
+        before, active = self._reference, self._active
+        assert before is not None
         if limits is not None:  # or it would leave a stop at full speed
             inside, velocity = limits.reference(position, velocity)
             if inside != position:
                 self.stand(inside)
                 position = inside
-        before, active = self._reference, self._active
-        assert before is not None
         is_timed = active is not None and active.goes_by_time
         is_gliding = self._glide is not None and stamp_ns < self._glide.end_ns
-        offset = self._offset.sample(stamp_ns)
-        motion, joined = before.sample(stamp_ns)[0], self._joined(stamp_ns)
+        joined, is_held = self._joined(stamp_ns)
+        standing = self._onto
         return _Here(
             position,
             velocity,
-            motion,
-            joined,
-            offset if joined[0] == motion + offset[0] else None,
-            max(self._offset.end_ns, stamp_ns),
+            standing.sample(stamp_ns),
+            joined[0],
+            is_held,
+            max((each.end_ns for each in self._offsets), default=stamp_ns),
             self._glide.end_ns if self._glide is not None else stamp_ns,
             is_gliding or (is_timed and stamp_ns - before.end_ns <= _STREAM_NS),
-            stamp_ns >= before.end_ns,
+            stamp_ns >= standing.end_ns,
             _NOWHERE if active is None else active.pace,
             getattr(before, "offset", 0.0),
             math.inf if limits is None else limits.fastest,
@@ -400,7 +409,7 @@ class Following:
         away = here.position - onto[0]
         own = _own_speed(pace, away)
         length = glide_time(away, duration, min(own or math.inf, here.fastest))
-        self._offset = _NONE
+        self._offsets = ()
         if own and length > 0.0 and abs(onto[1]) <= _SLOW * own:
             # It has hardly begun: no need to lag behind it for so long.
             self._hull = (
@@ -408,7 +417,7 @@ class Following:
                 max(pace.highest + turns, here.position),
             )
             end_ns = stamp_ns + _nanoseconds(length)
-            self._offset = Offset(away, -onto[1], 0.0, stamp_ns, end_ns)
+            self._offsets = (Offset(away, -onto[1], 0.0, stamp_ns, end_ns),)
             return
         self._set_glide(here.position, stamp_ns, length, onto)
 
@@ -424,33 +433,37 @@ class Following:
         self, here: _Here, pace: Pace, turns: float, stamp_ns: int, duration: float
     ) -> None:
         """Go on with another message: what it moves the motion by, and no more, fades."""
-        joined, left = here.joined[0], here.offset
-        new = self._onto.sample(stamp_ns)
-        jump = joined - new[0] if left is None else here.motion - new[0]
+        joined, new = here.joined, self._onto.sample(stamp_ns)
+        jump = (joined if here.is_held else here.motion[0]) - new[0]
         self._hull = min(pace.lowest + turns, joined), max(pace.highest + turns, joined)
+        if here.is_held or not duration:
+            self._offsets = ()
         if not duration:
-            self._offset = _NONE
             return
         speed = min(max(pace.fastest, here.pace.fastest), here.fastest)
+        own = _own_speed(pace, here.position - new[0]) or math.inf
+        slow = speed or min(own, here.fastest)
         # As the first message of a stream may be slow, so may a glide be that is under way.
-        whole = glide_time(here.position - new[0], duration, speed or here.fastest)
+        whole = glide_time(here.position - new[0], duration, slow)
         if max(here.glide_end_ns, here.offset_end_ns) > stamp_ns + _nanoseconds(whole):
             self._glide_as_it_moves(here, new, whole, stamp_ns)
             return
-        if jump == 0.0 and left is not None:
+        if jump == 0.0:
             return
-        length = glide_time(jump, duration, speed or here.fastest)
+        length = glide_time(jump, duration, slow)
         if speed:
             least = abs(jump) / speed
             remaining = max((self._onto.end_ns - stamp_ns) * SECONDS_PER_NANOSECOND, least)
             near = min(_PEAK / _GENTLE * least, remaining)
             if near <= length:
-                self._fade_jump(left, jump, near, here.offset_end_ns, stamp_ns)
+                self._fade_jump(jump, 0.0, near, stamp_ns)
                 return
         if here.has_ended and self._glide is None:
-            self._fade_jump(left, jump, length, here.offset_end_ns, stamp_ns)
-        else:
+            self._fade_jump(jump, 0.0, length, stamp_ns)
+        elif here.is_held or self._glide is not None:
             self._glide_as_it_moves(here, new, whole, stamp_ns)
+        else:
+            self._fade_jump(jump, here.motion[1] - new[1], length, stamp_ns)
 
     def _glide_as_it_moves(
         self, here: _Here, onto: Sequence[float], length: float, stamp_ns: int
@@ -459,17 +472,22 @@ class Following:
         self._glide, position = None, here.position
         self._hull = min(self._hull[0], position), max(self._hull[1], position)
         away, rate = position - onto[0], here.velocity - onto[1]
-        self._offset = Offset(away, rate, 0.0, stamp_ns, stamp_ns + _nanoseconds(length))
+        self._offsets = (Offset(away, rate, 0.0, stamp_ns, stamp_ns + _nanoseconds(length)),)
 
-    def _fade_jump(
-        self, left: Sequence[float] | None, jump: float, length: float, end_ns: int, stamp_ns: int
-    ) -> None:
-        """Add a jump to the offset, whose end may only become later."""
-        end_ns = max(end_ns, stamp_ns + _nanoseconds(length))
-        away, velocity, acceleration = left or (0.0, 0.0, 0.0)
-        self._offset = _NONE
+    def _fade_jump(self, jump: float, rate: float, length: float, stamp_ns: int) -> None:
+        """Add a jump to the offset, and a rate, whose end may only become later."""
+        end_ns, offsets = stamp_ns + _nanoseconds(length), list(self._offsets)
+        away = under_way = change = 0.0
+        if offsets:
+            (away, under_way, change), least_ns = offsets[0].sample(stamp_ns), offsets[0].end_ns
+            end_ns = max(end_ns, least_ns)
+            if rate or 2 * (end_ns - stamp_ns) > 3 * (least_ns - stamp_ns):
+                ending = Offset(0.0, under_way, change, stamp_ns, least_ns)
+                offsets = [offsets[0], ending, *offsets[1 : _MOST_FADING - 1]]
+                under_way = change = 0.0
         if end_ns > stamp_ns:
-            self._offset = Offset(away + jump, velocity, acceleration, stamp_ns, end_ns)
+            newest = Offset(away + jump, under_way + rate, change, stamp_ns, end_ns)
+            self._offsets = (newest, *offsets[1:])
 
     def _approach(
         self, here: _Here, motion: Motion, turns: float, stamp_ns: int, duration: float
@@ -489,7 +507,7 @@ class Following:
             self._reference = shifted(motion.start(stamp_ns, None, 0.0), turns)
             away = position - self._onto.sample(stamp_ns)[0]
             end_ns = stamp_ns + _nanoseconds(glide_time(away, length, here.fastest))
-            self._offset = Offset(away, here.velocity, 0.0, stamp_ns, end_ns)
+            self._offsets = (Offset(away, here.velocity, 0.0, stamp_ns, end_ns),)
             return
         excess = here.velocity - self._onto.sample(stamp_ns)[1]
         if excess == 0.0:
@@ -503,7 +521,7 @@ class Following:
         self._hull = least - explained, most + explained
         end_ns = stamp_ns + _nanoseconds(length)
         if end_ns > stamp_ns:
-            self._offset = Offset(0.0, excess, 0.0, stamp_ns, end_ns)
+            self._offsets = (Offset(0.0, excess, 0.0, stamp_ns, end_ns),)
 
     @property
     def _onto(self) -> Reference:

@@ -529,8 +529,7 @@ class JointLoop:
         if is_takeover:
             left = law.take_over(
                 model=model,
-                acceleration=acceleration,
-                feedforward=feedforward,
+                feedforward=self._feedforward.steady_effort,
                 is_next=dt > 0.0,
             )
             if left:

@@ -125,27 +125,27 @@ class LimitedLaw:
         self,
         *,
         model: ModelTerm | None,
-        acceleration: float,
         feedforward: float,
         is_next: bool,
     ) -> float:
         """Start again with the active effort, by choice of the integral.
 
-        Return what the integral may not give of it, in [N m]: nothing would take it away again.
+        ``feedforward`` is without what an acceleration needs, which is soon another. Return what
+        the integral may not give of the effort, in [N m]: nothing would take it away again.
         """
         law, (least, most) = self._law, self._clamp
         integral = self.effort
         if is_next and not self._is_external:
             terms = self.terms
             rest = terms.p + terms.i + self.model_effort + self._added_effort
+            if self.limits is not None and self.is_saturated:  # what they took is not in force
+                rest = self.effort - terms.d
             integral = min(max(rest, least), most)
         integral -= feedforward
         gain = 1.0
         if model is not None:
             gain = model.gain
             integral = (integral - model.effort) / gain
-            if model.follows_acceleration:
-                integral -= acceleration
         law.reset()
         if self._has_integral:
             self.restore_integral(integral)

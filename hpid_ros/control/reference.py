@@ -82,6 +82,11 @@ class Feedforward:
         self._settle()
         return effort
 
+    @property
+    def steady_effort(self) -> float:
+        """What the last sample would need without its acceleration, in [N m]."""
+        return self.effort - self._gains.inertia * self._last[1]
+
     def _effort_by(self, gains: FeedforwardGains) -> float:
         """Return what gains make of the last sample, in [N m]."""
         velocity, acceleration, planned = self._last

@@ -245,3 +245,124 @@ def test_a_glide_is_no_faster_than_the_motion_and_the_joint(ways):
             fastest = max(fastest, abs(loop.reference[1]))
         planned = min(abs(way) / duration, 2.0)
         assert fastest <= max(planned, 1.875 * 2.0 * abs(way) / 3600.0) * (1.0 + 1e-6) + 1e-9
+
+
+# Found by a search that knew only what is promised ----------------------------------------------
+
+
+def fed(following, messages, begin, end, takeover_time=0.5, limits=None):
+    """Yield time and reference at 1 kHz, while (time, column) come."""
+    waiting = sorted(messages, key=lambda each: each[0])
+    for k in range(round(begin * 1000), round(end * 1000)):
+        while waiting and waiting[0][0] <= k:
+            following.follow(waiting.pop(0)[1])
+        yield k / 1000, following.sample((100 * 1000 + k) * MS, takeover_time, limits)
+
+
+def window(at, begin, seconds, away, rate=1.0):
+    """Return a window of the motion x = t, so far off it, that begins and comes at these times."""
+    knots = (
+        Knot(0, begin + away, rate),
+        Knot(round(seconds * SECOND), begin + seconds + away, rate),
+    )
+    return round(at * 1000), Column("e", knots, round((100 + begin) * SECOND))
+
+
+@pytest.mark.parametrize("length", [0.02, 0.022, 0.03, 0.04, 0.1])
+@pytest.mark.parametrize("ahead", [0.1, -0.1])
+def test_a_message_moves_the_reference_by_no_more_than_it_moves_the_motion(length, ahead):
+    """Servo's windows begin at measured positions; then a plan of the same motion comes."""
+    for seed in range(12):
+        draw = draws(seed)
+        change = round(draw.uniform(1.0, 1.1), 3)
+        messages = [
+            window(k / 1000, k / 1000 - 0.002, length, draw.uniform(-0.01, 0.01))
+            for k in range(3, round(change * 1000), 20)
+        ]
+        messages.append(window(change, change - 0.02, 2.0, ahead))
+        following = Following()
+        following.stand(0.0)
+        for time, (position, _, _) in fed(following, messages, 0.0, 2.6):
+            if time >= change:
+                away = position - time
+                assert min(-0.01, ahead) - 2e-3 <= away <= max(0.01, ahead) + 2e-3, (seed, time)
+
+
+@given(SEEDS)
+@examples(4)
+def test_jumps_of_unlike_windows_do_not_swing(seed):
+    draw = draws(seed)
+    following = Following()
+    following.stand(0.0)
+    messages = [window(0.001, 0.001, 4.0, 0.0)]
+    low = high = 0.0
+    times = sorted(draw.uniform(0.7, 1.5) for _ in range(draw.randrange(2, 40)))
+    for at, after in zip(times, [*times[1:], 1.6], strict=True):
+        length = max(draw.choice([0.03, 0.06, 0.1, 0.5, 2.0]), after - at + 0.003)
+        away = draw.uniform(-0.01, 0.01)
+        low, high = min(low, away), max(high, away)
+        messages.append(window(at, at - 0.001, length, away))
+    room = 0.05 * (high - low)
+    for time, (position, _, _) in fed(following, messages, 0.0, 1.6):
+        if time >= 0.7:
+            assert low - room <= position - time <= high + room, (seed, time)
+
+
+@given(SEEDS)
+@examples(4)
+def test_between_messages_the_reference_never_steps(seed):
+    """Also not where an offset ends that was held back."""
+    draw = draws(seed)
+    following = Following()
+    following.stand(draw.uniform(-1.0, 1.0))
+    times = sorted(draw.uniform(0.0, 1.5) for _ in range(draw.randrange(1, 5)))
+    messages, now_ns = [], 100 * SECOND
+    for time in times:
+        count, at, knots = draw.randrange(1, 4), 0.0, []
+        for _ in range(count):
+            at += draw.choice([0.05, 0.1, 0.3, 1.0])
+            rate = draw.choice([None, 0.0, draw.uniform(-2.0, 2.0)])
+            knots.append(Knot(round(at * SECOND), draw.uniform(-1.0, 1.0), rate))
+        messages.append((time, Column("e", tuple(knots), 0)))
+    for before, after in zip([0.0, *times], [*times, 3.0], strict=True):
+        begun_ns = now_ns + round(before * SECOND)
+        ended_ns = now_ns + round(after * SECOND) - 1
+        if before:
+            following.follow(next(column for time, column in messages if time == before))
+        following.sample(begun_ns, 0.5, None)
+        ends = {each.end_ns for each in following._offsets}  # where something could go wrong
+        for end_ns in sorted(ends | {begun_ns + 7 * MS, ended_ns}):
+            if begun_ns < end_ns - 1 and end_ns <= ended_ns:
+                one = following.sample(end_ns - 1, 0.5, None)[0]
+                other = following.sample(end_ns, 0.5, None)[0]
+                assert abs(other - one) < 1e-6, (seed, end_ns)
+
+
+@pytest.mark.parametrize("top", [0.599999, 0.600001])
+def test_a_stream_that_reaches_a_stop_is_joined_as_one_that_does_not(top):
+    limits = MotionLimits(MotionBounds(-3.0, 0.6, math.inf, 0.1, 20.0, 10.0, math.inf, -9.0, 9.0))
+    points = ((0, 0.0), (1, top), (2, top), (3, 0.0))
+    knots = tuple(Knot(each * SECOND, position) for each, position in points)
+    down = Knot(0, -0.4), Knot(SECOND, -0.5)
+    messages = [(1, Column("e", knots, 100 * SECOND + MS)), (1500, Column("e", down, 0))]
+    following = Following()
+    following.stand(0.0)
+    before = 0.0
+    for _time, (position, _, _) in fed(following, messages, 0.0, 4.0, limits=limits):
+        assert abs(position - before) < 0.005
+        before = position
+    assert position == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize("is_running", [False, True])
+@pytest.mark.parametrize("takeover_time", [0.05, 0.5])
+def test_a_point_that_comes_late_is_gone_to_no_faster_than_planned(is_running, takeover_time):
+    following = Following()
+    following.stand(0.0)
+    messages = [(1100, Column("e", (Knot(2 * SECOND, 3.0),), round((100 + 1.1 - 2.05) * SECOND)))]
+    if is_running:
+        still = Knot(0, 0.0), Knot(SECOND, 0.0)
+        messages.append((1, Column("e", still, 100 * SECOND + MS)))
+    rates = [state[1] for _, state in fed(following, messages, 0.0, 6.0, takeover_time)]
+    assert max(rates) <= 1.5 * 1.001
+    assert following.position == pytest.approx(3.0)

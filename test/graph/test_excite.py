@@ -189,10 +189,13 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
     (bounds,) = [bounds_of(each, INERTIA) for each in controllers]
     stood = []
     publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", RARE)
+    harness.wait(publisher.get_subscription_count, what="the controller")
+    listeners = publisher.get_subscription_count()
 
     def take_over(event, seconds):
-        """Have the joint follow something else, as another node does."""
-        if event == "at" and seconds > 1.0:
+        """Have the joint follow something else, as a node does that the exciter has found."""
+        is_found = publisher.get_subscription_count() > listeners
+        if event == "at" and seconds > 1.0 and is_found:
             points = [JointTrajectoryPoint(positions=[0.0], time_from_start=Duration(sec=2))]
             publisher.publish(JointTrajectory(joint_names=["turn"], points=points))
 
@@ -208,7 +211,7 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness
         (10.0, take_over, "another node has sent a trajectory for turn"),
         (0.01, lambda *_: None, "from its reference, its tolerance is"),  # less than friction
     ):
-        design = SHORT._replace(duration=20.0) if tell is stand_still else SHORT
+        design = SHORT._replace(duration=20.0) if tell in (stand_still, take_over) else SHORT
         made = plan([replace(bounds, position=positions(harness)[-1])], Wish(), design)
         harness.set_parameters("turn_controller", u_clamp_max=effort, u_clamp_min=-effort)
         bag = tmp_path / reason

@@ -385,9 +385,12 @@ static void take_over(State *loop, int64_t stamp_ns, bool is_still_damped)
 {
     const Settings *s = &loop->settings;
     Real wanted = loop->effort;
-    if (is_still_damped && !loop->own.is_given)
-        wanted = clamped(loop->term_p + loop->term_i + loop->own.added, s->u_clamp_min,
-            s->u_clamp_max);
+    if (is_still_damped && !loop->own.is_given) {
+        wanted = loop->term_p + loop->term_i + loop->own.added;
+        if (loop->own.coefficients.has_limits && loop->is_limited) /* they took some of it */
+            wanted = loop->effort - loop->term_d;
+        wanted = clamped(wanted, s->u_clamp_min, s->u_clamp_max);
+    }
     loop->integral = s->gains_i > 0 ? allowed_integral(s, wanted) : REAL(0.0);
     loop->own.fade.effort = 0;
     keep(loop, wanted - loop->integral, stamp_ns);

@@ -735,3 +735,47 @@ def test_a_joint_is_taken_over_only_where_it_stays_after_a_jump():
     for k, position in enumerate((1.2, 2.4, 3.6)):
         loop.step((200 + k) * MS, position, 0.0)
     assert (loop.counts.jumps, loop.counts.takeovers) == (3, 0)
+
+
+@pytest.mark.parametrize("limits", [{"velocity_max": 1.0}, {"velocity_max": 1.0, **STOPS}])
+def test_what_a_limit_took_is_not_in_the_integral_after_a_takeover(limits):
+    """An encoder is set anew while a joint far from its setpoint moves as fast as it may."""
+    loop = loop_on(None, u_clamp_max=400.0, u_clamp_min=-400.0, **limits)
+    loop.step(SECOND, 0.0, 0.0)
+    loop.follow(Setpoint(1.4))
+    position = velocity = off = 0.0
+    for k in range(1, 4000):
+        if k == 600:
+            off, before = 0.3, loop.effort
+            assert velocity == pytest.approx(1.0, abs=0.05)
+        effort = loop.step(SECOND + k * MS, position + off, velocity)
+        if k == 601:
+            assert loop.counts.takeovers == 1
+            assert abs(loop.integral) < abs(before) + abs(loop.terms.d) + 1.0
+        velocity += 1e-3 * effort / 1.0
+        position += 1e-3 * velocity
+    assert position + off == pytest.approx(1.4, abs=0.05)
+
+
+@pytest.mark.parametrize("inertia", [0.0, 1.0])
+def test_the_acceleration_of_a_takeover_is_in_no_integral(inertia):
+    """After 0.15 s without states, in which a trajectory came that accelerates at once."""
+    loop = loop_on(
+        None,
+        **{"feedforward__inertia": inertia, "gains__i": 20.0},
+        u_clamp_max=200.0,
+        u_clamp_min=-200.0,
+    )
+    position = velocity = largest = 0.0
+    for k in range(3000):
+        if k == 200:
+            points = Knot(SECOND // 2, 0.6, 0.0), Knot(SECOND, 0.6, 0.0)
+            loop.receive(Column("j", points, 0))
+        if 200 <= k < 350:
+            continue
+        effort = loop.step(SECOND + k * MS, position, velocity)
+        largest = max(largest, abs(loop.error))
+        velocity += 1e-3 * effort
+        position += 1e-3 * velocity
+    assert loop.counts.takeovers == 1
+    assert largest < (0.002 if inertia else 0.06)

@@ -118,7 +118,8 @@ void Follower::rest(double position)
 {
   motion_ = nullptr;
   turns_ = position;
-  glide_.is_there = offset_.is_there = false;
+  glide_.is_there = false;
+  fading_ = 0;
 }
 
 std::int64_t Follower::begin_of(const Waiting & waiting, std::int64_t now_ns)
@@ -154,7 +155,10 @@ Reference Follower::sample(const Terms & terms)
 {
   const std::int64_t now_ns = terms.now_ns;
   glide_.is_there = glide_.is_there && now_ns < glide_.end_ns;
-  offset_.is_there = offset_.is_there && now_ns < offset_.end_ns;
+  const auto faded = std::remove_if(
+    offsets_.begin(), offsets_.begin() + static_cast<std::ptrdiff_t>(fading_),
+    [now_ns](const Offset & each) { return now_ns >= each.end_ns; });
+  fading_ = static_cast<std::size_t>(faded - offsets_.begin());
   while (count_ > 0 && begin_of(waiting_[0], now_ns) == now_ns) {
     const Motion & motion = *waiting_[0].motion;
     const bool is_in_time = waiting_[0].was_in_time;
@@ -179,24 +183,26 @@ Follower::Here Follower::here(const Terms & terms)
   const Reference stands = at(now_ns);
   found.position = stands.position;
   found.velocity = stands.velocity;
+  const bool is_timed = motion_ != nullptr && !motion_->is_setpoint;
+  const bool is_of_stream = is_timed && now_ns - end_ns() <= kStream;
+  found.pace = motion_ != nullptr ? motion_->pace : Pace();
+  found.turns = motion_ != nullptr ? turns_ : 0.0;
   const double inside = std::clamp(stands.position + terms.turns, terms.low, terms.high);
   if (inside != stands.position + terms.turns) {  // at a stop the reference rests
     found.position = inside - terms.turns;
     found.velocity = 0.0;
     rest(found.position);
   }
-  const bool is_timed = motion_ != nullptr && !motion_->is_setpoint;
-  found.offset = offset_.is_there ? offset_.sample(now_ns) : std::array<double, 3>{};
-  found.motion = on_motion(now_ns).position;
-  found.joined = joined(now_ns).position;
-  found.has_offset = found.joined == found.motion + found.offset[0];
-  found.offset_end_ns = offset_.is_there ? std::max(offset_.end_ns, now_ns) : now_ns;
+  found.motion = on_motion(now_ns);
+  found.joined = joined(now_ns, &found.is_held).position;
+  found.offset_end_ns = now_ns;
+  for (std::size_t k = 0; k < fading_; ++k) {
+    found.offset_end_ns = std::max(found.offset_end_ns, offsets_[k].end_ns);
+  }
   found.glide_end_ns = glide_.is_there ? glide_.end_ns : now_ns;
   const bool is_gliding = glide_.is_there && now_ns < glide_.end_ns;
-  found.is_running = is_gliding || (is_timed && now_ns - end_ns() <= kStream);
-  found.has_ended = !is_timed || now_ns >= end_ns();
-  found.pace = motion_ != nullptr ? motion_->pace : Pace();
-  found.turns = motion_ != nullptr ? turns_ : 0.0;
+  found.is_running = is_gliding || is_of_stream;
+  found.has_ended = motion_ == nullptr || motion_->is_setpoint || now_ns >= end_ns();
   return found;
 }
 
@@ -227,7 +233,8 @@ void Follower::begin(const Motion & motion, bool is_in_time, const Terms & terms
   } else if (is_under_way) {
     glide_onto(stands, terms);
   } else {
-    glide_.is_there = offset_.is_there = false;
+    glide_.is_there = false;
+    fading_ = 0;
     if (!motion.is_setpoint && !is_exact) {
       Knot start;
       start.time_ns = since_ns;
@@ -250,12 +257,11 @@ void Follower::glide_onto(const Here & here, const Terms & terms)
   const double own = own_speed(motion_->pace, away);
   const double speed = std::min(own != 0.0 ? own : kInfinite, terms.fastest);
   const double length = glide_time(away, terms.takeover_time, speed);
-  offset_.is_there = false;
+  fading_ = 0;
   if (own != 0.0 && length > 0.0 && std::abs(onto.velocity) <= kSlow * own) {
     lowest_ = std::min(motion_->pace.lowest + turns_, here.position);
     highest_ = std::max(motion_->pace.highest + turns_, here.position);
-    offset_ = {
-      true, away, -onto.velocity, 0.0, terms.now_ns, terms.now_ns + nanoseconds(length)};
+    fade({away, -onto.velocity, 0.0, terms.now_ns, terms.now_ns + nanoseconds(length)});
     return;
   }
   glide_.is_there =
@@ -272,38 +278,45 @@ void Follower::go_on(const Here & here, const Terms & terms)
   const double duration = terms.takeover_time;
   const Pace & pace = motion_->pace;
   const Reference onto = on_motion(now_ns);
-  const double jump = here.has_offset ? here.motion - onto.position : here.joined - onto.position;
+  const double jump = (here.is_held ? here.joined : here.motion.position) - onto.position;
   lowest_ = std::min(pace.lowest + turns_, here.joined);
   highest_ = std::max(pace.highest + turns_, here.joined);
+  if (here.is_held || duration == 0.0) {
+    fading_ = 0;
+  }
   if (duration == 0.0) {
-    offset_.is_there = false;
     return;
   }
   const double speed = std::min(std::max(pace.fastest, here.pace.fastest), terms.fastest);
-  const double or_limit = speed != 0.0 ? speed : terms.fastest;
+  const double away = here.position - onto.position;
+  const double own = own_speed(pace, away);
+  const double slow =
+    speed != 0.0 ? speed : std::min(own != 0.0 ? own : kInfinite, terms.fastest);
   // As the first message of a stream may be slow, so may a glide be that is under way.
-  const double whole = glide_time(here.position - onto.position, duration, or_limit);
+  const double whole = glide_time(away, duration, slow);
   if (std::max(here.glide_end_ns, here.offset_end_ns) > now_ns + nanoseconds(whole)) {
     glide_as_it_moves(here, onto, whole, now_ns);
     return;
   }
-  if (jump == 0.0 && here.has_offset) {
+  if (jump == 0.0) {
     return;
   }
-  const double length = glide_time(jump, duration, or_limit);
+  const double length = glide_time(jump, duration, slow);
   if (speed != 0.0) {
     const double least = std::abs(jump) / speed;
     const double remaining = std::max(seconds(end_ns() - now_ns), least);
     const double near = std::min(kPeak / kGentle * least, remaining);
     if (near <= length) {
-      fade_jump(here, jump, near, now_ns);
+      fade_jump(jump, 0.0, near, now_ns);
       return;
     }
   }
   if (here.has_ended && !glide_.is_there) {
-    fade_jump(here, jump, length, now_ns);
-  } else {
+    fade_jump(jump, 0.0, length, now_ns);
+  } else if (here.is_held || glide_.is_there) {
     glide_as_it_moves(here, onto, whole, now_ns);
+  } else {
+    fade_jump(jump, here.motion.velocity - onto.velocity, length, now_ns);
   }
 }
 
@@ -313,16 +326,41 @@ void Follower::glide_as_it_moves(
   glide_.is_there = false;
   lowest_ = std::min(lowest_, here.position);
   highest_ = std::max(highest_, here.position);
-  offset_ = {
-    true, here.position - onto.position, here.velocity - onto.velocity, 0.0, now_ns,
-    now_ns + nanoseconds(length)};
+  fading_ = 0;
+  fade(
+    {here.position - onto.position, here.velocity - onto.velocity, 0.0, now_ns,
+     now_ns + nanoseconds(length)});
 }
 
-void Follower::fade_jump(const Here & here, double jump, double length, std::int64_t now_ns)
+void Follower::fade(const Offset & offset)
 {
-  const std::int64_t end_ns = std::max(here.offset_end_ns, now_ns + nanoseconds(length));
-  const std::array<double, 3> left = here.has_offset ? here.offset : std::array<double, 3>{};
-  offset_ = {end_ns > now_ns, left[0] + jump, left[1], left[2], now_ns, end_ns};
+  offsets_[0] = offset;
+  fading_ = 1;
+}
+
+void Follower::fade_jump(double jump, double rate, double length, std::int64_t now_ns)
+{
+  std::int64_t end_ns = now_ns + nanoseconds(length);
+  std::array<double, 3> left{};
+  if (fading_ > 0) {
+    const std::int64_t least_ns = offsets_[0].end_ns;
+    left = offsets_[0].sample(now_ns);
+    end_ns = std::max(end_ns, least_ns);
+    if (rate != 0.0 || 2 * (end_ns - now_ns) > 3 * (least_ns - now_ns)) {
+      // What is under way ends when it would have ended.
+      const std::size_t kept = std::min(fading_, kMostFading - 1);
+      std::move_backward(
+        offsets_.begin() + 1, offsets_.begin() + static_cast<std::ptrdiff_t>(kept),
+        offsets_.begin() + static_cast<std::ptrdiff_t>(kept) + 1);
+      offsets_[1] = {0.0, left[1], left[2], now_ns, least_ns};
+      fading_ = kept + 1;
+      left[1] = left[2] = 0.0;
+    }
+  }
+  if (end_ns > now_ns) {
+    offsets_[0] = {left[0] + jump, left[1] + rate, left[2], now_ns, end_ns};
+    fading_ = std::max<std::size_t>(fading_, 1);
+  }
 }
 
 void Follower::approach(const Here & here, const Terms & terms)
@@ -344,9 +382,8 @@ void Follower::approach(const Here & here, const Terms & terms)
     has_before_ = false;
     from_ns_ = to_ns_ = 0;
     const double away = position - on_motion(now_ns).position;
-    offset_ = {
-      true, away, here.velocity, 0.0, now_ns,
-      now_ns + nanoseconds(glide_time(away, length, terms.fastest))};
+    const std::int64_t end_ns = now_ns + nanoseconds(glide_time(away, length, terms.fastest));
+    fade({away, here.velocity, 0.0, now_ns, end_ns});
     return;
   }
   const double excess = here.velocity - on_motion(now_ns).velocity;
@@ -363,7 +400,9 @@ void Follower::approach(const Here & here, const Terms & terms)
   lowest_ = least - explained;
   highest_ = most + explained;
   const std::int64_t end_ns = now_ns + nanoseconds(length);
-  offset_ = {end_ns > now_ns, 0.0, excess, 0.0, now_ns, end_ns};
+  if (end_ns > now_ns) {
+    fade({0.0, excess, 0.0, now_ns, end_ns});
+  }
 }
 
 std::array<double, 3> Follower::Offset::sample(std::int64_t stamp_ns) const
@@ -390,16 +429,27 @@ std::array<double, 3> Follower::Offset::sample(std::int64_t stamp_ns) const
       (T * T)};
 }
 
-Reference Follower::joined(std::int64_t stamp_ns)
+Reference Follower::joined(std::int64_t stamp_ns, bool * is_held)
 {
-  Reference found = on_motion(stamp_ns);
-  if (offset_.is_there) {
-    const auto offset = offset_.sample(stamp_ns);
+  const Reference onto = on_motion(stamp_ns);
+  Reference found = onto;
+  for (std::size_t k = 0; k < fading_; ++k) {
+    const auto offset = offsets_[k].sample(stamp_ns);
     found.position += offset[0];
     found.velocity += offset[1];
-    const double inside = std::min(std::max(found.position, lowest_), highest_);
+  }
+  if (is_held != nullptr) {
+    *is_held = false;
+  }
+  if (fading_ > 0) {  // the motion itself may lead beyond
+    const double lowest = std::min(lowest_, onto.position);
+    const double highest = std::max(highest_, onto.position);
+    const double inside = std::min(std::max(found.position, lowest), highest);
     if (inside != found.position) {
-      found = {inside, 0.0};
+      found = inside == onto.position ? onto : Reference{inside, 0.0};
+      if (is_held != nullptr) {
+        *is_held = true;
+      }
     }
   }
   return found;

@@ -74,6 +74,7 @@ class Follower
 {
 public:
   static constexpr std::size_t kMost = 64;  // motions that wait for their beginning
+  static constexpr std::size_t kMostFading = 8;  // offsets: the newest, and rates of those before it
 
   /// Begins again, at a position.
   void stand(double position);
@@ -101,7 +102,6 @@ private:
 
   struct Offset  // a difference of positions that fades by a quintic
   {
-    bool is_there = false;
     double position = 0.0, velocity = 0.0, acceleration = 0.0;
     std::int64_t begin_ns = 0, end_ns = 0;
 
@@ -119,9 +119,9 @@ private:
   struct Here  // where the reference stands when another motion begins
   {
     double position, velocity;
-    double motion, joined;
-    std::array<double, 3> offset;
-    bool has_offset;  // else it is held back
+    Reference motion;
+    double joined;  // [rad] the motion with its offsets
+    bool is_held;   // whether those are held back
     std::int64_t offset_end_ns, glide_end_ns;
     bool is_running, has_ended;
     Pace pace;
@@ -134,11 +134,12 @@ private:
   void glide_onto(const Here & here, const Terms & terms);
   void go_on(const Here & here, const Terms & terms);
   void glide_as_it_moves(const Here & here, const Reference & onto, double length, std::int64_t);
-  void fade_jump(const Here & here, double jump, double length, std::int64_t now_ns);
+  void fade(const Offset & offset);  // it alone
+  void fade_jump(double jump, double rate, double length, std::int64_t now_ns);
   void approach(const Here & here, const Terms & terms);
 
   Reference at(std::int64_t stamp_ns);
-  Reference joined(std::int64_t stamp_ns);
+  Reference joined(std::int64_t stamp_ns, bool * is_held = nullptr);
   Reference on_motion(std::int64_t stamp_ns);
   std::int64_t end_ns() const;
   void enter(std::int64_t stamp_ns);
@@ -160,8 +161,9 @@ private:
   double c_[6] = {};
 
   Glide glide_;
-  Offset offset_;
-  double lowest_ = -kInfinite;  // [rad] where motion and offset may lead
+  std::array<Offset, kMostFading> offsets_;
+  std::size_t fading_ = 0;  // of the offsets
+  double lowest_ = -kInfinite;  // [rad] where motion and offsets may lead
   double highest_ = kInfinite;
 };
 
