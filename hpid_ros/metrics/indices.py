@@ -198,7 +198,7 @@ def saturation_share(series: JointSeries, limit: float | None = None) -> float:
 
     A command holds until the next one. Where no limit is known, an effort is at one when it is
     the run's highest or lowest and stays so, to the last bit, over at least :data:`PLATEAU`
-    commands: a clamp gives such plateaus and a moving loop does not.
+    commands: a clamp gives such plateaus and a moving loop does not. Zero is no limit.
     """
     effort, t = series.effort, series.command_time
     if effort.size < 2:
@@ -209,7 +209,10 @@ def saturation_share(series: JointSeries, limit: float | None = None) -> float:
         highest, lowest = effort.max(), effort.min()
         if highest == lowest:
             return 0.0
-        is_limited = _on_plateau(effort == highest) | _on_plateau(effort == lowest)
+        is_limited = np.zeros(effort.size, dtype=np.bool_)
+        for extreme in (highest, lowest):
+            if extreme != 0.0:  # without a command there is no effort, and that is no limit
+                is_limited |= _on_plateau(effort == extreme)
     return 100.0 * exact_sum(np.diff(t)[is_limited[:-1]]) / float(t[-1] - t[0])
 
 

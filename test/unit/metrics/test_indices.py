@@ -382,6 +382,8 @@ def test_a_moving_a_constant_and_a_silent_effort_are_not_saturated():
     short = np.sin(7.0 * t)
     short[10 : 10 + PLATEAU - 1] = 9.0  # too short for a clamp
     assert saturation_share(joint(effort=short)) == 0.0
+    late = np.where(t < 0.3, 0.0, 2.0 + np.sin(7.0 * t))  # nobody drives it at first
+    assert saturation_share(joint(effort=late)) == 0.0
     silent = JointSeries("a", [0, MS], [0.0, 0.0], [0.0, 0.0], [], [])
     assert saturation_share(silent) == 0.0
 
