@@ -126,10 +126,10 @@ def float64_multi_array_layout(raw: bytes) -> Layout:
 def controller_state_layout(raw: bytes) -> Layout:
     """Learn the layout of a ``control_msgs/JointTrajectoryControllerState``.
 
-    Fields: ``reference``, the positions of reference (or desired, before control_msgs 4), and
-    ``effort``, the efforts of output, which the oldest form has not. That of Humble has desired
-    and actual as well, and in its old topic those alone. Nothing tells the forms apart but their
-    length.
+    Fields: ``reference``, the positions of reference (or desired, before control_msgs 4),
+    ``feedback``, those of feedback (or actual), and ``effort``, the efforts of output, which the
+    oldest form has not. That of Humble has desired and actual as well, and in its old topic those
+    alone. Nothing tells the forms apart but their length.
     """
     failure: MessageError | None = None
     for points, has_speed in ((4, True), (4, False), (6, False), (3, False)):
@@ -148,7 +148,8 @@ def _controller_state(raw: bytes, points: int, has_speed: bool) -> Layout:
         arrays.append([walker.array() for _ in range(4)])
         walker.time()
     is_old_topic = points == 6 and arrays[0][0].length != len(names)
-    fields = {"reference": arrays[4 if is_old_topic else 0][0]}
+    first = 4 if is_old_topic else 0
+    fields = {"reference": arrays[first][0], "feedback": arrays[first + 1][0]}
     if points >= 4:
         fields["effort"] = arrays[3][3]
     if not (points == 3 and walker.is_at_end()):  # Foxy ends here
@@ -479,7 +480,10 @@ class _Group:
 
 
 _INTERFACES = frozenset({"position", "velocity", "acceleration", "effort"})
-_INTERFACE_OF = {"position": "position", "reference": "position", "effort": "effort"}
+_INTERFACE_OF = {
+    **dict.fromkeys(("position", "reference", "feedback"), "position"),
+    "effort": "effort",
+}
 _MOST_NAMES = 5
 
 

@@ -196,7 +196,7 @@ def reported(text: str, known: Ordered, stamps_ns: Integers) -> ReferenceCandida
         first, half, end = np.searchsorted(stamps_ns, (last_ns, middle_ns, next_ns)).tolist()
         values[first:half], values[half:end] = known.values[index], known.values[index + 1]
     margin = round(_JITTER * period)
-    return ReferenceCandidate(
+    found = ReferenceCandidate(
         text,
         len(known.values) + known.repeated,
         values,
@@ -204,6 +204,31 @@ def reported(text: str, known: Ordered, stamps_ns: Integers) -> ReferenceCandida
         round(period),
         max(int(origin), int(stamps_ns[0])),
     )
+    _go_on(found, known, stamps_ns)
+    return found
+
+
+def _go_on(found: ReferenceCandidate, known: Ordered, stamps_ns: Integers) -> None:
+    """Let reports go on at the states before the first and after the last, within a period.
+
+    They go as fast as between those next to them: at the slower of two rates of one sign, else
+    they hold. So a motion goes on, and a step does not.
+    """
+    at, steps = np.flatnonzero(found.known), np.diff(known.stamps_ns)
+    if len(steps) < 2 or not len(at):
+        return
+    first, last, period = int(at[0]), int(at[-1]), float(np.median(steps))
+    before = slice(0, first), [0, 1, 2], stamps_ns[first] - stamps_ns[0]
+    after = slice(last + 1, None), [-1, -2, -3], stamps_ns[-1] - stamps_ns[last]
+    for states, nearest, time in (before, after):
+        reported_ns, positions = known.stamps_ns[nearest], known.values[nearest]
+        apart = np.diff(reported_ns)
+        rates = np.diff(positions) / apart
+        is_steady = (rates > 0.0).all() or (rates < 0.0).all()
+        is_whole = np.abs(apart).max() <= _BRIDGED * period
+        if 0 < time < found.period_ns and is_steady and is_whole:
+            away = np.clip(stamps_ns[states] - reported_ns[0], -period, period)
+            found.values[states] = positions[0] + rates[np.argmin(np.abs(rates))] * away
 
 
 def _is_within(stamps_ns: Integers, begins: Integers, ends: Integers) -> Flags:
@@ -287,7 +312,7 @@ def together(
                 np.where(takes_other, other.values, found.values),
                 found.known | takes_other,
             )
-    values, known = _bridged(found, max(each.period_ns for each in named), stamps_ns)
+    values, known = _bridged(found, named, stamps_ns)
     begins = [each.begin_ns for each in named if each.begin_ns is not None]
     return (
         ReferenceCandidate(
@@ -310,22 +335,24 @@ def named_topics(named: Iterable[ReferenceCandidate]) -> str:
 
 
 def _bridged(
-    found: ReferenceCandidate, period_ns: int, stamps_ns: Integers
+    found: ReferenceCandidate, named: Sequence[ReferenceCandidate], stamps_ns: Integers
 ) -> tuple[Numbers, Flags]:
     """Return a sampled reference and where it is known, without what is shorter than a period.
 
-    Such is the time before the first sample and after the last, in which it holds, and that
-    between two controllers' samples, which a line bridges.
+    Such is the time before the first sample and after the last, in which the samples go on, and
+    that between two controllers' samples, which a line bridges.
     """
+    period_ns = max(each.period_ns for each in named)
     values, known = found.values.copy(), found.known.copy()
     at = np.flatnonzero(known)
     if not len(at) or known.all():
         return values, known
     first, last = int(at[0]), int(at[-1])
     if stamps_ns[first] - stamps_ns[0] < period_ns:
-        values[:first], known[:first] = values[first], True
+        values[:first], known[:first] = _owner(found, named, first).values[:first], True
     if stamps_ns[-1] - stamps_ns[last] < period_ns:
-        values[last + 1 :], known[last + 1 :] = values[last], True
+        values[last + 1 :] = _owner(found, named, last).values[last + 1 :]
+        known[last + 1 :] = True
     for begin, end in stretches(~known):
         if begin == 0 or end == len(known):
             continue
@@ -335,6 +362,14 @@ def _bridged(
             values[begin:end] = values[begin - 1] + share * (values[end] - values[begin - 1])
             known[begin:end] = True
     return values, known
+
+
+def _owner(
+    found: ReferenceCandidate, named: Sequence[ReferenceCandidate], at: int
+) -> ReferenceCandidate:
+    """Return the candidate whose value a reference has at a state."""
+    owners = (x for x in named if x.known[at] and x.values[at] == found.values[at])
+    return next(owners, found)
 
 
 def _is_followed(candidate: ReferenceCandidate, where: Flags, positions: Numbers) -> Flags:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -23,6 +24,7 @@ from hpid_ros.messages.columns import (
     finite,
     ordered,
 )
+from hpid_ros.messages.feedback import feedback_away
 from hpid_ros.messages.references import (
     MOMENT_NS,
     Flags,
@@ -41,7 +43,9 @@ from hpid_ros.messages.references import (
     together,
 )
 from hpid_ros.messages.selection import (
+    FOREIGN,
     REPORTS,
+    UNLIKE,
     BagSelection,
     RecordedRun,
     TopicChoice,
@@ -72,7 +76,7 @@ from hpid_ros.messages.storage import (
     opened,
     time_stood_still,
 )
-from hpid_ros.messages.turns import CONTINUOUS, in_nearest_turn, unwrapped
+from hpid_ros.messages.turns import CONTINUOUS, PRISMATIC, in_nearest_turn, unwrapped
 from hpid_ros.motion.joint_trajectory import Column, JointTrajectory
 
 
@@ -87,6 +91,7 @@ _STRAYS = 30  # states that come so much late; more are a clock of their own
 _RUN_SPACING_NS = 1_000_000_000_000_000
 """Added to the stamps of each run after another one: longer than any run."""
 _FOREVER_NS = 2**63 - 1
+_MOST, _IN_TURN = 0.9, math.pi / 2.0  # [rad] for most of the time, a joint is so near its turn
 _AT_END = 0.05  # [rad] a joint that is no farther from the end of a trajectory has followed it
 _NO_EFFORT_WITHIN = "no effort lies within the time that is read, or efforts are on another clock"
 _EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
@@ -337,28 +342,57 @@ class JointRun:
 
     def _reports(self, states: Ordered) -> tuple[list[ReferenceCandidate], Integers | None]:
         """Return what controllers report, and the stamps of what our own one samples."""
-        reports, stamps_ns = [], None
-        choice = self._recording.choice
+        found: list[tuple[str, Ordered]] = []
+        stamps_ns = None
         for topic, stream in self._recording.sampled.items():
             taken = stream.take(self._joint)
             samples, not_finite = (None, 0) if taken is None else finite(taken)
             if samples is None or not len(samples.values):
                 continue
-            if not self._recording.is_of_position(topic, self._joint, states, self._times):
+            if not self._is_of_position(topic, states):
                 continue
-            is_sampled = topic in choice.references.sampled
+            is_sampled = topic in self._recording.choice.references.sampled
             text = f"{'sampled' if is_sampled else 'controller_state'} {topic}"
-            times = self._times(samples)
-            if self._is_unstamped(samples) or self._is_on_another_clock(samples):
-                mine = self._samples
-                times = carried(samples.log_times_ns, mine.log_times_ns, mine.stamps_ns)
+            times, is_stamped = self._report_times(samples)
+            if not is_stamped:
                 text += ", by the times at which it was received"
             known = ordered(times, samples.values, not_finite)
-            if self._turns:
-                known, _ = unwrapped(known, CONTINUOUS)
-            reports.append(self._turned(reported(text, known, states.stamps_ns), states))
-            stamps_ns = known.stamps_ns if is_sampled and len(reports) == 1 else None
-        return reports, stamps_ns
+            found.append((text, known))
+            stamps_ns = known.stamps_ns if is_sampled and len(found) == 1 else None
+        if not self._turns:
+            reports = [reported(*each, states.stamps_ns) for each in found]
+            leave_out = [
+                self._leaves_out_turns(report, known, states)
+                for report, (_, known) in zip(reports, found, strict=True)
+            ]
+            self._turns = any(leave_out)
+            if not self._turns:
+                return reports, stamps_ns
+        return [self._of_turns(*each, states) for each in found], stamps_ns
+
+    def _report_times(self, samples: JointSamples) -> tuple[Integers, bool]:
+        """Return when a controller reported on the clock of the states, and if its stamps say."""
+        if self._is_unstamped(samples) or self._is_on_another_clock(samples):
+            mine = self._samples
+            return carried(samples.log_times_ns, mine.log_times_ns, mine.stamps_ns), False
+        return self._times(samples), True
+
+    def _is_of_position(self, topic: str, states: Ordered) -> bool:
+        """Return whether what a report is about is the joint's position, by its feedback."""
+        taken = self._recording.take_feedback(topic, self._joint)
+        samples, not_finite = (None, 0) if taken is None else finite(taken)
+        if samples is None or not len(samples.values):
+            return True
+        feedback = ordered(self._report_times(samples)[0], samples.values, not_finite)
+        away = feedback_away(feedback, states, turns=self._kind != PRISMATIC)
+        if away is None:
+            return True
+        if self._recording.may_be_foreign(topic) and away.exceeds(*FOREIGN):
+            self._recording.be_foreign(topic, self._joint)
+            return False
+        if samples.values.any() and away.exceeds(*UNLIKE):  # some leave the field at zero
+            self._recording.differ(topic, self._joint, away.largest)
+        return True
 
     def _asked(self, states: Ordered) -> ReferenceCandidate | None:
         """Return what trajectories and setpoints ask of the joint; None without any."""
@@ -383,6 +417,40 @@ class JointRun:
             return None
         return self._followed(events, setpoints, states)
 
+    def _of_turns(self, text: str, known: Ordered, states: Ordered) -> ReferenceCandidate:
+        """Return reports at the states, with the turns that they leave out."""
+        whole, _ = unwrapped(known, CONTINUOUS)
+        return self._turned(reported(text, whole, states.stamps_ns), states)
+
+    def _leaves_out_turns(
+        self, plain: ReferenceCandidate, known: Ordered, states: Ordered
+    ) -> bool:
+        """Return whether reports jump by a turn where the joint does not, and note it."""
+        whole, turns = unwrapped(known, self._kind)
+        if not turns:
+            return False
+        return self._is_nearer(plain, reported(plain.text, whole, states.stamps_ns), turns, states)
+
+    def _is_nearer(
+        self, plain: ReferenceCandidate, whole: ReferenceCandidate, turns: int, states: Ordered
+    ) -> bool:
+        """Return whether the joint is nearer to a reference of all turns, and note it."""
+        if not plain.known.any():
+            return False
+        of_turns, of_one = (
+            np.abs(each.values - states.values)[plain.known]
+            for each in (self._nearest(whole, states), plain)
+        )
+        if of_turns.sum() >= of_one.sum() or np.quantile(of_turns, _MOST) > _IN_TURN:
+            return False
+        self._recording.unwrap_reference(plain.topic, self._joint, turns, self._kind)
+        return True
+
+    def _nearest(self, found: ReferenceCandidate, states: Ordered) -> ReferenceCandidate:
+        """Return a reference in the turn that is nearest to the joint."""
+        arrays = (states.values, states.stamps_ns, found.known)
+        return replace(found, values=in_nearest_turn(found.values, *arrays))
+
     def _is_taken(self, event: ReferenceEvent, topic: str) -> bool:
         """Return whether controllers take a trajectory, by the stamps of the states.
 
@@ -404,7 +472,8 @@ class JointRun:
             else:
                 return True
         since_ns = event.log_time_ns - int(states.log_times_ns[0])
-        off = abs(event.column.knots[-1].position - float(states.values[before]))
+        off = event.column.knots[-1].position - float(states.values[before])
+        off = abs(math.remainder(off, math.tau) if self._turns else off)
         if since_ns <= LATCHED_WITHIN * NANOSECONDS and off <= _AT_END:
             return True
         self._recording.refuse(topic, event.place, reason)
@@ -418,15 +487,16 @@ class JointRun:
     ) -> ReferenceCandidate:
         """Return the reference that trajectories and setpoints make together."""
         logged, stamps_ns = self._samples, states.stamps_ns
-        first = float(states.values[0])
         kinds = dict.fromkeys(kind for kind, _ in trajectories)
         events = [event for _, event in trajectories]
-        count, values = len(events), None
+        count, values, turns = len(events), None, 0
         if setpoints is not None:
             kind, positions = setpoints
             kinds[kind] = None
             count += len(positions.values)
+            turns = unwrapped(Ordered(positions.log_times_ns, positions.values), self._kind)[1]
             if not events:
+                first = float(states.values[0])
                 values = sample_setpoints(positions, logged, stamps_ns, first)
             events += setpoint_events(self._joint, positions)
             events.sort(key=lambda each: each[:2])
@@ -434,18 +504,29 @@ class JointRun:
         taken = events if values is None else events[:1]
         begin = min(first_state(each, logged, stamps_ns) for each in taken)
         begin_ns = int(stamps_ns[begin]) if begin < len(stamps_ns) else None
-        if values is None:
-            values = sample_events(events, logged, stamps_ns, first)
         known = held_at_rest(states.values, begin)
+        if values is None:
+            first = self._position_before(begin, states) if not known[0] else states.values[0]
+            values = sample_events(events, logged, stamps_ns, float(first))
+            turns = turns or unwrapped(Ordered(stamps_ns, values), self._kind)[1]
         found = ReferenceCandidate(" and ".join(kinds), count, values, known, begin_ns=begin_ns)
+        if turns and not self._turns:
+            self._turns = self._is_nearer(found, found, turns, states)
         return self._turned(found, states)
+
+    def _position_before(self, begin: int, states: Ordered) -> float:
+        """Return where a joint that moved before its reference began was then, as its driver says.
+
+        A driver that reports one turn alone has references of this turn, too.
+        """
+        if begin >= len(states.values):
+            return float(states.values[0])
+        at = np.flatnonzero(self._samples.stamps_ns == states.stamps_ns[begin])[-1]
+        return float(self._samples.values[at])
 
     def _turned(self, found: ReferenceCandidate, states: Ordered) -> ReferenceCandidate:
         """Return a reference in the turn that is nearest to a joint which turns without end."""
-        if not self._turns:
-            return found
-        nearest = in_nearest_turn(found.values, states.values, states.stamps_ns)
-        return replace(found, values=nearest)
+        return self._nearest(found, states) if self._turns else found
 
     def _given(
         self, trajectory: JointTrajectory, window: Window
@@ -623,7 +704,7 @@ def _undecodable(where: str, recording: RecordedRun) -> list[str]:
     odd = dict.fromkeys(recording.odd_lines())
     if odd and not any(stream.joints() for stream in recording.states.values()):
         raise BagError(f"{where}: no state of a joint can be read: {'; '.join(odd)}")
-    return [*lines, *odd]
+    return [*dict.fromkeys(lines), *odd]
 
 
 def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequence[str]:
@@ -703,6 +784,7 @@ def _run(
                 one, losses[joint], qualities[joint] = found
                 series.append(one)
     recording.notes.extend((*recording.turn_lines(), *recording.reference_lines()))
+    recording.notes.extend(_other_speeds(recording.choice.speed_scalings, qualities))
     recording.notes.extend(_foreign_clocks(qualities))
     progress(1.0)
     is_window = start is not None or end is not None
@@ -714,6 +796,21 @@ def _run(
         )
     quality = replace(quality, joints=qualities, notes=tuple(recording.notes))
     return RunSeries(label, series.at_once() or series, losses, quality=quality)
+
+
+def _other_speeds(topics: Sequence[str], qualities: Mapping[str, DataQuality]) -> Iterator[str]:
+    """Yield one line if trajectories are references, and may have been followed more slowly."""
+    joints = [
+        name
+        for name, each in qualities.items()
+        if each.reference == GIVEN or each.reference.startswith("trajectory ")
+    ]
+    if topics and joints:
+        yield (
+            f"the trajectory of {listed_names(joints, _SHOWN_JOINTS)} may have been followed at "
+            f"another speed: {' and '.join(topics)} is not read (a controller_state says what was "
+            "followed)"
+        )
 
 
 def _foreign_clocks(qualities: Mapping[str, DataQuality]) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -34,8 +34,6 @@ from hpid_ros.messages.columns import (
     Layouts,
     Ordered,
     TopicBatch,
-    finite,
-    ordered,
 )
 from hpid_ros.messages.joint_trajectory import TrajectoryArrays, decode_trajectory
 from hpid_ros.messages.references import Disagreement, Flags, ReferenceCandidate
@@ -227,6 +225,8 @@ _WITHOUT_JOINT = ("control_msgs/msg/PidState", "control_msgs/msg/JointController
 _EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
 _COMMANDS_OF_A_JOINT = ("command", "commands")
 """Positions, velocities or efforts: only who ran the controllers knows."""
+_SPEED_SCALING = "speed_scaling"
+"""Of ur_robot_driver's speed_scaling_state_broadcaster, a Float64."""
 _COMMANDS_OF_JOINTS = ("joint_commands", "joint_command")
 """The second is Isaac Sim's."""
 _NEITHER_STATES_NOR_COMMANDS = ("reference", "terms", "estimate")
@@ -266,6 +266,7 @@ class TopicChoice:
     others: tuple[str, ...] = ()  # of commands, taken for another robot's, where there are no more
     relays: tuple[str, ...] = ()  # where controllers are asked for relays
     nameless: tuple[str, ...] = ()  # on which a single PID reports without its joint's name
+    speed_scalings: tuple[str, ...] = ()  # how fast trajectories are followed
 
     def measured(self) -> TopicChoice:
         """Return the same with the efforts that the states measured, and no others."""
@@ -336,6 +337,7 @@ class _Chooser:
                 name for name in self.below(FLOAT64_MULTI_ARRAY) if last_part(name) == "relay"
             ),
             nameless=tuple(self.own(*_WITHOUT_JOINT)),
+            speed_scalings=tuple(x for x in self.own(FLOAT64) if last_part(x) == _SPEED_SCALING),
         )
         if are_missed:
             return choice.measured()
@@ -520,16 +522,28 @@ def _listed(types: Mapping[str, str]) -> str:
     return ", ".join(f"{name} ({types[name]})" for name in sorted(types)) or "none"
 
 
-_FEEDBACK_OFF = 0.05  # [rad] feedback that is no farther from the positions is one
-_FEEDBACK_SHARE = 0.1  # of the positions' range
-_FEEDBACK_MOST = 0.3  # [rad]; of the whole turns nothing is left by then
+FOREIGN = 0.05, 0.1, 0.3  # [rad], share of the range, at most: what is farther is no position
+UNLIKE = 0.005, 0.05  # [rad] and share of the range: feedback that is farther is another position
+
+
+def _first_joints(joints: Sequence[str]) -> str:
+    return ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
+
+
+def _by_up_to(found: Mapping[str, float]) -> str:
+    return f"(by up to {max(found.values()):.3g} rad)"
 
 
 def _farthest(found: Mapping[str, float]) -> str:
     """Return joints and how far their references are apart, at most."""
-    joints = list(found)
-    shown = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
-    return f"{shown} (by up to {max(found.values()):.3g} rad)"
+    return f"{_first_joints(list(found))} {_by_up_to(found)}"
+
+
+def _turns_of(joints: Mapping[str, int], kind: str | None) -> str:
+    """Return how often each joint jumps by a turn, and what becomes of it."""
+    why = "nobody says whether they turn without end" if kind is None else f"they are {kind}"
+    counts = ", ".join(f"{joint} {count} times" for joint, count in joints.items())
+    return f"{counts} ({why}): the turns are added up, and errors taken to the nearest turn"
 
 
 def _may_be_several(
@@ -652,17 +666,20 @@ class RecordedRun:
             topic: JointStream(of(topic), "reference", joints)
             for topic in references.controller_state
         }
-        # what a PID controller is fed, which may be a velocity
+        # where controllers say that joints were; of a PID controller it may be a velocity
         self.feedbacks = {
             topic: JointStream(of(topic), "feedback", joints)
             for topic in references.controller_state
-            if types[topic] == MULTI_DOF_STATE
         }
+        self._of_pids = {x for x in references.controller_state if types[x] == MULTI_DOF_STATE}
         # of the streams that were looked at last
         self._qualities: list[tuple[Integers, int, StampQuality]] = []
         self._disagreements: dict[tuple[str, str, bool], dict[str, float]] = {}
         self._overruled: dict[tuple[str, str], dict[str, float]] = {}
         self._turned: dict[str | None, dict[str, int]] = {}  # turns by joint, by its type
+        # the same of references, by their topics, too
+        self._turned_references: dict[tuple[str, str | None], dict[str, int]] = {}
+        self._unlike: dict[str, dict[str, float]] = {}  # [rad] by joint, by topic of feedback
         self._refused: dict[str, dict[int, str]] = {}  # reasons by place, by topic
         self._foreign: dict[str, list[str]] = {}  # joints by topic whose references are no angles
 
@@ -715,27 +732,22 @@ class RecordedRun:
             log_time_ns, place, topic, arrays = self.trajectories[number]
             yield log_time_ns, place, topic, arrays.column_at(at)
 
-    def is_of_position(
-        self, topic: str, joint: str, states: Ordered, times: Callable[[JointSamples], Integers]
-    ) -> bool:
-        """Return whether what a report is about is the joint's position, by its feedback."""
+    def take_feedback(self, topic: str, joint: str) -> JointSamples | None:
+        """Return where a controller says that a joint was and forget it; None if it does not."""
         stream = self.feedbacks.get(topic)
-        samples = None if stream is None else stream.take(joint)
-        if samples is None:
-            return True
-        samples, _ = finite(samples)
-        if not len(samples.values):
-            return True
-        known = ordered(times(samples), samples.values, 0)
-        at = np.searchsorted(known.stamps_ns, states.stamps_ns)
-        at = np.minimum(at, len(known.stamps_ns) - 1)
-        off = known.values[at] - states.values
-        off -= math.tau * np.round(off / math.tau)
-        share = _FEEDBACK_SHARE * float(np.ptp(states.values))
-        if np.median(np.abs(off)) <= min(max(_FEEDBACK_OFF, share), _FEEDBACK_MOST):
-            return True
+        return None if stream is None else stream.take(joint)
+
+    def may_be_foreign(self, topic: str) -> bool:
+        """Return whether reports may be about something else than positions."""
+        return topic in self._of_pids
+
+    def be_foreign(self, topic: str, joint: str) -> None:
+        """Note that a report is about something else than the joint's position."""
         self._foreign.setdefault(topic, []).append(joint)
-        return False
+
+    def differ(self, topic: str, joint: str, largest: float) -> None:
+        """Note that a controller reports other positions than the states."""
+        self._unlike.setdefault(topic, {})[joint] = largest
 
     def disagree(self, joint: str, found: Disagreement) -> None:
         """Note that two topics said different things about a joint."""
@@ -757,16 +769,21 @@ class RecordedRun:
         """Note positions that jumped by a turn though nobody says that the joint turns so."""
         self._turned.setdefault(kind, {})[joint] = turns
 
+    def unwrap_reference(self, topic: str, joint: str, turns: int, kind: str | None) -> None:
+        """Note a reference that jumped by a turn where the joint did not."""
+        self._turned_references.setdefault((topic, kind), {})[joint] = turns
+
     def turn_lines(self) -> Iterator[str]:
         """Yield a line for joints whose positions were unwrapped by what they look like alone."""
         for kind, joints in self._turned.items():
-            why = (
-                "nobody says whether they turn without end" if kind is None else f"they are {kind}"
-            )
-            counts = ", ".join(f"{joint} {count} times" for joint, count in joints.items())
             yield (
-                f"positions jump by a turn, as of a driver that reports one turn alone: {counts} "
-                f"({why}): the turns are added up, and errors taken to the nearest turn"
+                "positions jump by a turn, as of a driver that reports one turn alone: "
+                f"{_turns_of(joints, kind)}"
+            )
+        for (topic, kind), joints in self._turned_references.items():
+            yield (
+                f"references on {topic} jump by a turn where the positions do not: "
+                f"{_turns_of(joints, kind)}"
             )
 
     def reference_lines(self) -> Iterator[str]:
@@ -779,6 +796,12 @@ class RecordedRun:
             yield (
                 f"{topic} reports no positions of {', '.join(joints)}: its feedback is something "
                 "else than joint_states say: not taken as the reference"
+            )
+        for topic, unlike in self._unlike.items():
+            yield (
+                f"{topic} reports other positions of {_first_joints(list(unlike))} than "
+                f"{' and '.join(self.choice.states)} has {_by_up_to(unlike)}: the error is "
+                "against the states"
             )
         for (taken, left, is_mixed), found in self._disagreements.items():
             how = "each where the joint follows it" if is_mixed else f"the joint follows {taken}"

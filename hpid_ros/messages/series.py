@@ -609,7 +609,8 @@ def _usual_least(series: JointSeries) -> float | None:
     if moved.size and known[moved[0] :].any():
         error, known = error[moved[0] :], known[moved[0] :]
     usual_least = float(np.quantile(error[known], _SELDOM))
-    reference_range = float(np.ptp(series.reference))
+    reference = series.reference if series.known is None else series.reference[series.known]
+    reference_range = float(np.ptp(reference))
     follows = usual_least <= max(SMALL_ERROR, SHARE_OF_RANGE * reference_range)
     return None if follows else usual_least
 

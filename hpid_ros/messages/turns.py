@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.columns import Integers, Ordered
+
+Flags = NDArray[np.bool_]
 
 CONTINUOUS, PRISMATIC = "continuous", "prismatic"  # types of joints, as in a URDF
 _LARGEST = math.tau * (1.0 + 1e-6)  # [rad] a driver that wraps reports none beyond it
@@ -41,7 +44,7 @@ def unwrapped(samples: Ordered, kind: str | None) -> tuple[Ordered, int]:
         if len(x) < _FEWEST or usual > _LARGEST_STEP:
             return samples, 0
         left = min(max(_LEAST_LEFT, _LEFT_STEPS * usual), _LEFT)
-        is_turn &= (rest <= left) & ~_gaps(samples.stamps_ns)
+        is_turn &= (rest <= left) & ~gaps(samples.stamps_ns)
     turns[~is_turn] = 0.0
     count = int(np.count_nonzero(is_turn))
     if not count:
@@ -50,26 +53,40 @@ def unwrapped(samples: Ordered, kind: str | None) -> tuple[Ordered, int]:
     return samples._replace(values=values), count
 
 
-def in_nearest_turn(reference: Numbers, positions: Numbers, stamps_ns: Integers) -> Numbers:
+def in_nearest_turn(
+    reference: Numbers, positions: Numbers, stamps_ns: Integers, known: Flags
+) -> Numbers:
     """Return a reference in the turn that is nearest to the joint where each of its parts begins.
 
-    A part ends where the reference jumps by more than half a turn, and where states are missing.
-    Within one the error is what it is, however far the joint falls behind.
+    A part begins where the reference becomes known, where it jumps by more than half a turn, and
+    after missing states. Within one the error is what it is, however far the joint falls behind.
     """
-    error = reference - positions
-    if not len(error):
+    at = np.flatnonzero(known)
+    if not len(at):
         return reference
-    is_first = np.ones(len(error), dtype=np.bool_)
-    is_first[1:] = (np.abs(np.diff(reference)) > math.pi) | _gaps(stamps_ns)
-    first = np.maximum.accumulate(np.where(is_first, np.arange(len(error)), 0))
+    error, known_values = (reference - positions)[at], reference[at]
+    is_first = np.ones(len(at), dtype=np.bool_)
+    is_first[1:] = (np.diff(at) > 1) | (np.abs(np.diff(known_values)) > math.pi)
+    is_first[1:] |= gaps(stamps_ns)[at[1:] - 1]
+    first = np.maximum.accumulate(np.where(is_first, np.arange(len(at)), 0))
     turns = np.round(error[first] / math.tau)
     if not turns.any():
         return reference
-    nearest: Numbers = reference - math.tau * turns
+    nearest: Numbers = reference - math.tau * turns[_nearest(at, stamps_ns)]
     return nearest
 
 
-def _gaps(stamps_ns: Integers) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _nearest(at: Integers, stamps_ns: Integers) -> Integers:
+    """Return which of some ascending places is the nearest in time to each stamp."""
+    every = np.arange(len(stamps_ns))
+    following = np.minimum(np.searchsorted(at, every), len(at) - 1)
+    before = np.maximum(np.searchsorted(at, every, "right") - 1, 0)
+    is_nearer = stamps_ns[at[following]] - stamps_ns < stamps_ns - stamps_ns[at[before]]
+    found: Integers = np.where(is_nearer, following, before)
+    return found
+
+
+def gaps(stamps_ns: Integers) -> Flags:
     """Return after which stamps so many are missing that the joint may have turned."""
     steps = np.diff(stamps_ns)
     if not len(steps):

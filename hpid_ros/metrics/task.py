@@ -263,6 +263,12 @@ class EndEffector:
         self._arm = Kinematics(frame.description, frame.link, recorded, others)
         self._label = run.label
         self._stamps_ns = self._series[recorded[0]].state_stamps_ns
+        self._known = self._known_at(moving)
+        if not len(self._known):
+            raise BagError(
+                f"run {run.label!r}: how far {frame.link!r} was from its reference is not known: "
+                f"the references of {', '.join(moving)} are never known at one time"
+            )
         self._bases = self._base_poses()
 
     @property
@@ -270,7 +276,7 @@ class EndEffector:
         return "odom" if self._bases is not None else self._frame.description.root
 
     def figures(self, truth: PoseColumns | None = None) -> EndEffectorFigures:
-        """Return the deviations of the whole run."""
+        """Return the deviations at all states at which every reference is known."""
         blocks = [
             _deviations(self._poses("reference", block), self._poses("position", block))
             for block in self._blocks()
@@ -281,24 +287,40 @@ class EndEffector:
         return EndEffectorFigures(self._frame.link, self.frame, tracking, true)
 
     def path(self, points: int) -> EndEffectorPath:
-        every = np.arange(0, len(self._stamps_ns), max(1, len(self._stamps_ns) // points))
+        every = self._known[:: max(1, len(self._known) // points)]
         reference, position = (self._poses(what, every) for what in ("reference", "position"))
         return EndEffectorPath(self._label, reference.positions, position.positions)
 
     def _against(self, truth: PoseColumns) -> PoseDeviation | None:
         """Compare the reference with true poses at the states that they belong to."""
         _, here, there = np.intersect1d(
-            self._stamps_ns, truth.stamps_ns, assume_unique=True, return_indices=True
+            self._stamps_ns[self._known],
+            truth.stamps_ns,
+            assume_unique=True,
+            return_indices=True,
         )
         if not len(here):
             return None
+        here = self._known[here]
         true = LinkPoses(truth.positions[there, 0], _matrices(truth.orientations[there, 0]))
         return PoseDeviation.of(*_deviations(self._poses("reference", here), true))
 
     def _blocks(self) -> Iterator[npt.NDArray[np.int64]]:
-        count = len(self._stamps_ns)
-        for begin in range(0, count, _BLOCK):
-            yield np.arange(begin, min(begin + _BLOCK, count))
+        for begin in range(0, len(self._known), _BLOCK):
+            yield self._known[begin : begin + _BLOCK]
+
+    def _known_at(self, joints: Sequence[str]) -> npt.NDArray[np.int64]:
+        """Return the common stamps at which the references of all joints are known."""
+        known = np.ones(len(self._stamps_ns), dtype=np.bool_)
+        for series in (self._series[joint] for joint in joints):
+            if series.known is None:
+                continue
+            own = series.state_stamps_ns
+            following = np.searchsorted(own, self._stamps_ns)
+            before = np.searchsorted(own, self._stamps_ns, "right") - 1
+            known &= series.known[np.minimum(following, len(own) - 1)]
+            known &= series.known[np.maximum(before, 0)]
+        return np.flatnonzero(known)
 
     def _poses(self, what: str, at: npt.NDArray[np.int64]) -> LinkPoses:
         """Return the link in the task frame."""
@@ -314,7 +336,10 @@ class EndEffector:
         return LinkPoses(positions, turns @ poses.rotations)
 
     def _base_poses(self) -> dict[str, Numbers] | None:
-        """Return x, y and heading of the base at the states, wanted and by its odometry."""
+        """Return x, y and heading of the base at the states, wanted and by its odometry.
+
+        While the reference of a wheel is not known the base is wanted to go as it goes.
+        """
         base = self._frame.base
         if base is None:
             return None
@@ -335,6 +360,8 @@ class EndEffector:
     def _column(self, series: JointSeries, what: str) -> Numbers:
         """Return a joint's numbers at the common stamps."""
         values: Numbers = getattr(series, what)
+        if what == "reference" and series.known is not None:
+            values = np.where(series.known, values, series.position)
         own = series.state_stamps_ns
         if own is self._stamps_ns or np.array_equal(own, self._stamps_ns):
             return values
