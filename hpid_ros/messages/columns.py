@@ -552,6 +552,13 @@ class JointStream:
         for group in self._of.get(joint, ()):
             yield from group.probes(joint)
 
+    def has_numbers(self, joint: str) -> bool:
+        """Return whether any of a joint's numbers can be one."""
+        if any((np.abs(some) < LARGEST).any() for some in self.probes(joint)):
+            return True
+        samples = self.peek(joint)
+        return samples is not None and len(finite(samples)[0].values) > 0
+
     def shared(self) -> Iterator[tuple[tuple[str, ...], list[tuple[str, list[Integers]]]]]:
         """Yield joints that the same messages carry, and these by layout.
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,15 +16,28 @@ from hpid_ros.base.errors import BagError, TrajectoryError, listed_names
 from hpid_ros.base.names import NamePatterns
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.reference import GRACE_NS, LATCHED_WITHIN, require_timely
+from hpid_ros.messages.clocks import (
+    RESET_NS,
+    STRAYS,
+    SetBack,
+    ahead_ns,
+    late_ns,
+    set_backs,
+    set_right,
+    states_set_right,
+    unstamped,
+)
 from hpid_ros.messages.columns import (
     LARGEST,
     Integers,
     JointSamples,
+    JointStream,
     Ordered,
     carried,
     finite,
     ordered,
 )
+from hpid_ros.messages.efforts import EffortCandidate, in_turn
 from hpid_ros.messages.feedback import feedback_away
 from hpid_ros.messages.references import (
     MOMENT_NS,
@@ -50,6 +64,7 @@ from hpid_ros.messages.selection import (
     RecordedRun,
     TopicChoice,
     choose_topics,
+    glimpse,
 )
 from hpid_ros.messages.series import (
     GIVEN,
@@ -85,9 +100,6 @@ def _overlap(one: Integers, other: Integers) -> bool:
     return bool(one.min() <= other.max() and other.min() <= one.max())
 
 
-_RESET_NS = 1_000_000_000
-"""By which a clock that was set back goes back at least; less is disorder on the way."""
-_STRAYS = 30  # states that come so much late; more are a clock of their own
 _RUN_SPACING_NS = 1_000_000_000_000_000
 """Added to the stamps of each run after another one: longer than any run."""
 _FOREVER_NS = 2**63 - 1
@@ -123,20 +135,32 @@ def _spans(known: Flags, stamps_ns: Integers) -> Iterator[Integers]:
         yield stamps_ns[[first, end - 1]]
 
 
+class NoNumberError(SeriesError):
+    """A joint whose positions are no numbers."""
+
+
 class JointRun:
     """One joint of a recording; taking it frees the recording's columns."""
 
     def __init__(self, recording: RecordedRun, joint: str, selection: BagSelection) -> None:
         self._recording, self._joint, self._selection = recording, joint, selection
         self._clock = clock = selection.clock
+        self._topic = recording.topic_of_states(joint)
         taken = recording.take_states(joint)
         if taken is None:
             raise SeriesError(f"joint {joint!r}: no state carries its position")
-        samples, not_finite = self._finite(taken, "position", "state")
+        samples, not_finite = finite(self._stamped(self._topic, taken))
+        if not len(samples.values):
+            raise NoNumberError(
+                f"joint {joint!r}: position must be finite and below {LARGEST:g}, but no state's "
+                "is"
+            )
         self._header_ns = samples.stamps_ns
         self._aside: tuple[Spill, Kept, Kept] | None = None
         self._begun_ns: Integers | None = None  # when runs but the first began, by their states
-        self._samples = samples._replace(stamps_ns=self._times(samples))
+        self._set_backs: list[SetBack] = set_backs(samples) if clock == "header" else []
+        times = self._separated(samples, self._state_times(samples))
+        self._samples = samples._replace(stamps_ns=times)
         if not selection.separates_runs:
             self._require_one_run()
         states = ordered(self._samples.stamps_ns, samples.values, not_finite)
@@ -172,7 +196,7 @@ class JointRun:
         """Refuse runs on a clock that began again: they would be laid over each other."""
         stamps_ns = self._samples.stamps_ns
         behind = np.maximum.accumulate(stamps_ns) - stamps_ns
-        if np.count_nonzero(behind >= _RESET_NS) > _STRAYS:
+        if np.count_nonzero(behind >= RESET_NS) > STRAYS:
             raise SeriesError(
                 f"joint {self._joint!r}: the clock of its states went back by "
                 f"{behind.max() / NANOSECONDS:.3g} s, or two senders have clocks of their own; "
@@ -217,16 +241,55 @@ class JointRun:
         )
         return series, losses, quality
 
+    def _stamped(self, topic: str, samples: JointSamples) -> JointSamples:
+        """Return the samples without those that alone have no stamp."""
+        without = unstamped(samples.stamps_ns) if self._clock == "header" else None
+        if without is None:
+            return samples
+        self._recording.note_unstamped(topic, int(np.count_nonzero(without)))
+        return samples.picked(~without)
+
+    def _state_times(self, samples: JointSamples) -> Integers:
+        """Return the states' times on the chosen clock, as if it had never been set back."""
+        if self._clock != "header":
+            return samples.log_times_ns
+        if not self._set_backs:
+            return samples.stamps_ns
+        times = states_set_right(samples, self._set_backs)
+        for each in self._set_backs:
+            at = (int(times[each.at]) - int(times[0])) / NANOSECONDS
+            self._recording.note_set_back(self._topic, at, each.by_ns / NANOSECONDS)
+        return times
+
     def _times(self, samples: JointSamples) -> Integers:
-        """Return the samples' times on the chosen clock, with runs that began again separated."""
+        """Return times of another topic on the chosen clock, as those of the states."""
         times = samples.stamps_ns if self._clock == "header" else samples.log_times_ns
+        if self._set_backs and len(times):
+            times = set_right(samples, self._set_backs, self._states_set_right)
+        return self._separated(samples, times)
+
+    @cached_property
+    def _states_set_right(self) -> JointSamples:
+        """The states with stamps set right, in runs that are not separated."""
+        states = self._samples._replace(stamps_ns=self._header_ns)
+        return states._replace(stamps_ns=states_set_right(states, self._set_backs))
+
+    def _separated(self, samples: JointSamples, times: Integers) -> Integers:
+        """Return times with runs that began again separated."""
         if not self._selection.separates_runs:
             return times
         if self._begun_ns is None:
-            self._begun_ns = samples.log_times_ns[1:][np.diff(times) <= -_RESET_NS]
+            self._begun_ns = samples.log_times_ns[1:][np.diff(times) <= -RESET_NS]
         runs = np.searchsorted(self._begun_ns, samples.log_times_ns, "right")
         later: Integers = times + _RUN_SPACING_NS * runs
         return later
+
+    def _compare_clock(self, topic: str, samples: JointSamples) -> None:
+        """Note a topic whose stamps are of another clock than the states', or late."""
+        if self._clock == "header" and self._recording.compares(topic):
+            states = self._samples._replace(stamps_ns=self._header_ns)
+            if _overlap(samples.stamps_ns, states.stamps_ns):
+                self._recording.note_ahead(topic, self._topic, ahead_ns(samples, states))
 
     def _commands(self) -> tuple[Ordered, str, str]:
         """Return the commands in the order of their stamps, whose clock these are, their topic."""
@@ -234,35 +297,91 @@ class JointRun:
         self._no_effort = NO_EFFORT
         if not choice.has_commands:
             self._no_effort = "no efforts were read, as asked for"
+        elif self._joint in self._recording.efforts_elsewhere:
+            topic = self._recording.efforts_elsewhere[self._joint]
+            self._no_effort = f"no effort is where it was read, but {topic} has some (--states)"
         elif choice.in_doubt:
             self._no_effort += f" as such ({', '.join(choice.in_doubt)} may carry them)"
-        command = choice.command_topics.get(self._joint)
-        if command is not None:
-            samples = self._recording.floats[command.topic].take(self._joint)
-            if samples is not None:
-                return self._unstamped(samples), "receive", command.topic
-        for topic, stream in self._recording.commands.items():
-            samples = stream.take(self._joint)
-            if samples is None:
-                continue
-            if choice.is_measured:
-                return self._measured(samples), self._clock, f"{MEASURED}, of {topic}"
-            if self._is_unstamped(samples):
-                return self._unstamped(samples), "receive", topic
-            samples, not_finite = self._finite(samples, "effort", "command")
-            return ordered(self._times(samples), samples.values, not_finite), self._clock, topic
-        return _EMPTY, self._clock, ""
+        if choice.is_measured:
+            return self._measured(self._recording.commands)
+        without_numbers, taken = list[str](), list[tuple[str, JointSamples, int, bool]]()
+        for topic, samples, is_stamped in self._efforts():
+            found, not_finite = finite(samples)
+            if len(found.values):
+                taken.append((topic, found, not_finite, is_stamped))
+            else:
+                without_numbers.append(topic)
+        # Of several each must be on the clock of the states, by stamps or as it was received.
+        candidates = [
+            self._candidate(
+                *(topic, found, not_finite),
+                is_stamped and not (len(taken) > 1 and self._is_on_another_clock(found)),
+            )
+            for topic, found, not_finite, is_stamped in taken
+        ]
+        if len(candidates) > 1:
+            candidate, contradictions = in_turn(candidates)
+            for each in contradictions:
+                self._recording.contradict(self._joint, each)
+        elif candidates:
+            (candidate,) = candidates
+        else:
+            if without_numbers:
+                topics = " and ".join(without_numbers)
+                self._no_effort = f"the efforts on {topics} are not a number throughout"
+            measured = self._measured(self._recording.measured)
+            if without_numbers:
+                self._recording.note_no_numbers(self._joint, without_numbers, measured[2])
+            return measured
+        if without_numbers:
+            topics = " and ".join(candidate.topics)
+            self._recording.note_no_numbers(self._joint, without_numbers, topics)
+        return candidate.samples, candidate.clock, " and ".join(candidate.topics)
 
-    def _measured(self, samples: JointSamples) -> Ordered:
+    def _efforts(self) -> Iterator[tuple[str, JointSamples, bool]]:
+        """Yield topic and efforts of each that commands the joint, and whether it has stamps."""
+        recording = self._recording
+        command = recording.choice.command_topics.get(self._joint)
+        if command is not None:
+            samples = recording.floats[command.topic].take(self._joint)
+            if samples is not None:
+                yield command.topic, samples, False
+                if self._joint in self._selection.command_topics:
+                    return
+        for topic, stream in recording.commands.items():
+            samples = stream.take(self._joint)
+            if samples is not None:
+                samples = self._stamped(topic, samples)
+                yield topic, samples, not self._is_unstamped(samples)
+
+    def _candidate(
+        self, topic: str, samples: JointSamples, not_finite: int, is_stamped: bool
+    ) -> EffortCandidate:
+        times, clock = samples.log_times_ns, "receive"
+        if is_stamped:
+            self._compare_clock(topic, samples)
+            times, clock = self._times(samples), self._clock
+        elif self._clock == "header":
+            states = self._samples
+            times = carried(times, states.log_times_ns, states.stamps_ns)
+        return EffortCandidate(ordered(times, samples.values, not_finite), clock, (topic,))
+
+    def _measured(self, streams: Mapping[str, JointStream]) -> tuple[Ordered, str, str]:
         """Return measured efforts; none where the driver fills the field without measuring."""
-        samples, not_finite = finite(samples)
-        is_asked_for = self._selection.commands is not None
-        if not len(samples.values) or not (is_asked_for or samples.values.any()):
-            state = "not a number" if not len(samples.values) else "zero"
-            topic = " and ".join(self._recording.choice.states)
-            self._no_effort = f"the efforts that {topic} measured are {state} throughout"
-            return _EMPTY
-        return ordered(self._times(samples), samples.values, not_finite)
+        for topic, stream in streams.items():
+            taken = stream.take(self._joint)
+            if taken is None:
+                continue
+            samples, not_finite = finite(self._stamped(topic, taken))
+            is_asked_for = self._selection.commands is not None
+            if not len(samples.values) or not (is_asked_for or samples.values.any()):
+                state = "not a number" if not len(samples.values) else "zero"
+                states = " and ".join(self._recording.choice.states)
+                self._no_effort = f"the efforts that {states} measured are {state} throughout"
+                break
+            found = ordered(self._times(samples), samples.values, not_finite)
+            return found, self._clock, f"{MEASURED}, of {topic}"
+        return _EMPTY, self._clock, ""
 
     def _is_unstamped(self, samples: JointSamples) -> bool:
         """Tell whether messages that should have stamps have none."""
@@ -278,23 +397,6 @@ class JointRun:
             and _overlap(samples.log_times_ns, mine.log_times_ns)
         )
 
-    def _unstamped(self, samples: JointSamples) -> Ordered:
-        samples, not_finite = self._finite(samples, "effort", "command")
-        times, states = samples.log_times_ns, self._samples
-        if self._clock == "header":
-            times = carried(times, states.log_times_ns, states.stamps_ns)
-        return ordered(times, samples.values, not_finite)
-
-    def _finite(self, samples: JointSamples, what: str, message: str) -> tuple[JointSamples, int]:
-        """Return the samples whose numbers can be a joint's, at least one, and how many cannot."""
-        samples, not_finite = finite(samples)
-        if not len(samples.values):
-            raise SeriesError(
-                f"joint {self._joint!r}: {what} must be finite and below {LARGEST:g}, but no "
-                f"{message}'s is"
-            )
-        return samples, not_finite
-
     def _losses(
         self, states: Ordered, commands: Ordered, clock: str, topic: str
     ) -> tuple[Losses, bool]:
@@ -309,7 +411,7 @@ class JointRun:
         places = np.minimum(places, len(commands.stamps_ns) - 1)
         answered = int(np.count_nonzero(commands.stamps_ns[places] == states.stamps_ns))
         # A trajectory controller reports at a rate of its own.
-        if clock == "receive" or not answered or topic in self._recording.reports:
+        if clock == "receive" or not answered or self._recording.reports & {*topic.split(" and ")}:
             return Losses(0, commands.repeated), False
         return Losses(count - answered, commands.repeated), True
 
@@ -346,13 +448,16 @@ class JointRun:
         stamps_ns = None
         for topic, stream in self._recording.sampled.items():
             taken = stream.take(self._joint)
-            samples, not_finite = (None, 0) if taken is None else finite(taken)
-            if samples is None or not len(samples.values):
+            if taken is None:
+                continue
+            samples, not_finite = finite(self._stamped(topic, taken))
+            if not len(samples.values):
                 continue
             if not self._is_of_position(topic, states):
                 continue
             is_sampled = topic in self._recording.choice.references.sampled
             text = f"{'sampled' if is_sampled else 'controller_state'} {topic}"
+            self._compare_clock(topic, samples)
             times, is_stamped = self._report_times(samples)
             if not is_stamped:
                 text += ", by the times at which it was received"
@@ -380,8 +485,10 @@ class JointRun:
     def _is_of_position(self, topic: str, states: Ordered) -> bool:
         """Return whether what a report is about is the joint's position, by its feedback."""
         taken = self._recording.take_feedback(topic, self._joint)
-        samples, not_finite = (None, 0) if taken is None else finite(taken)
-        if samples is None or not len(samples.values):
+        if taken is None:
+            return True
+        samples, not_finite = finite(self._stamped(topic, taken))
+        if not len(samples.values):
             return True
         feedback = ordered(self._report_times(samples)[0], samples.values, not_finite)
         away = feedback_away(feedback, states, turns=self._kind != PRISMATIC)
@@ -401,6 +508,7 @@ class JointRun:
             for log_time_ns, place, topic, column in self._recording.trajectories_of(self._joint)
             if self._is_taken(event := self._on_clock(log_time_ns, place, column), topic)
         ]
+        self._compare_trajectories(events)
         events.sort(key=lambda each: each[1][:2])
         texts = dict.fromkeys(text for text, _ in events)
         if len(texts) > 1:
@@ -450,6 +558,22 @@ class JointRun:
         """Return a reference in the turn that is nearest to the joint."""
         arrays = (states.values, states.stamps_ns, found.known)
         return replace(found, values=in_nearest_turn(found.values, *arrays))
+
+    def _compare_trajectories(self, events: Sequence[tuple[str, ReferenceEvent]]) -> None:
+        """Note topics of trajectories that came after they were to begin.
+
+        One that began before the first state may be latched.
+        """
+        if self._clock != "header" or self._selection.separates_runs:
+            return
+        first_ns = int(self._samples.stamps_ns[0])
+        found: dict[str, list[tuple[int, int]]] = {}
+        for text, event in events:
+            topic = text.partition(" ")[2]
+            if event.column.stamp_ns > first_ns and self._recording.compares(topic):
+                found.setdefault(topic, []).append((event.column.stamp_ns, event.log_time_ns))
+        for topic, times in found.items():
+            self._recording.note_ahead(topic, "", -late_ns(times, self._samples))
 
     def _is_taken(self, event: ReferenceEvent, topic: str) -> bool:
         """Return whether controllers take a trajectory, by the stamps of the states.
@@ -551,7 +675,9 @@ class JointRun:
     def _on_clock(self, log_time_ns: int, place: int, column: Column) -> ReferenceEvent:
         """Return a column with its start carried to the clock of the series."""
         header, states = self._header_ns, self._samples
-        is_other = self._clock != "header" or self._selection.separates_runs
+        is_other = (
+            self._clock != "header" or self._selection.separates_runs or bool(self._set_backs)
+        )
         if is_other and column.stamp_ns:
             following = min(states.first_after(log_time_ns, place), len(header) - 1)
             start_ns = column.stamp_ns + int(states.stamps_ns[following] - header[following])
@@ -652,12 +778,23 @@ def _recording(
                 f"{where}: messages on {topic} are {encoding or 'of no encoding'}, but must be cdr"
             )
     recording = collected(choice)
-    if choice.may_be_measured and not recording.has_efforts():
+    commanded, numberless = recording.commanded()
+    if choice.may_be_measured and (not commanded or numberless):
         before = list(recording.odd_lines())
-        recording = collected(choice.measured())
+        recording = collected(choice.measured({*numberless} if commanded else None))
         recording.notes += [line for line in before if line not in recording.odd_lines()]
+        for joint, without in () if commanded else numberless.items():
+            recording.note_no_numbers(joint, without, MEASURED)
     _require_messages(where, recording)
     recording.resolve_senders(selection.sender)
+    if choice.other_states:
+        unreadable = len(storage.unreadable)  # what cannot be read was said
+        read, *others = (
+            glimpse(topic, storage.batches(frozenset({topic})))
+            for topic in (*choice.states, *choice.other_states)
+        )
+        del storage.unreadable[unreadable:]
+        recording.note_other_states(read, others)
     if choice.others:
         recording.notes.append(
             f"{', '.join(choice.others)}: not read, as another robot's, whose states are beside "
@@ -750,11 +887,21 @@ def _run(
     progress: Progress,
 ) -> RunSeries:
     """Return the series of all joints within the window."""
-    spill, runs = Spill(), dict[str, JointRun]()
+    spill, runs, failures = Spill(), dict[str, JointRun](), list[NoNumberError]()
     for number, joint in enumerate(joints):
         progress(0.5 * number / len(joints))
-        runs[joint] = JointRun(recording, joint, selection)
+        try:
+            runs[joint] = JointRun(recording, joint, selection)
+        except NoNumberError as error:
+            if selection.joints is not None:
+                raise
+            failures.append(error)
+            recording.notes.append(f"joint {joint!r} is left out: no position of it is a number")
+            continue
         runs[joint].set_aside(spill)
+    if not runs:
+        raise failures[0]
+    joints = [*runs]
     origin_ns = min(int(run.states.stamps_ns[0]) for run in runs.values())
     start, end = selection.start, selection.end
     window = Window(
@@ -783,7 +930,10 @@ def _run(
             ):
                 one, losses[joint], qualities[joint] = found
                 series.append(one)
-    recording.notes.extend((*recording.turn_lines(), *recording.reference_lines()))
+    recording.notes.extend(recording.clock_lines())
+    recording.notes.extend(
+        (*recording.turn_lines(), *recording.reference_lines(), *recording.effort_lines())
+    )
     recording.notes.extend(_other_speeds(recording.choice.speed_scalings, qualities))
     recording.notes.extend(_foreign_clocks(qualities))
     progress(1.0)

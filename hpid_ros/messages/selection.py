@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -16,11 +16,13 @@ from hpid_ros.base.errors import (
     MessageError,
     SettingError,
     TrajectoryError,
+    listed_names,
     unknown_name,
 )
 from hpid_ros.base.names import joint_of_controller
-from hpid_ros.base.units import Numbers
+from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.bounds import RECORDED
+from hpid_ros.messages.clocks import set_backs, states_set_right
 from hpid_ros.messages.columns import (
     CONTROLLER_STATE,
     FLOAT64,
@@ -34,7 +36,9 @@ from hpid_ros.messages.columns import (
     Layouts,
     Ordered,
     TopicBatch,
+    finite,
 )
+from hpid_ros.messages.efforts import EffortContradiction
 from hpid_ros.messages.joint_trajectory import TrajectoryArrays, decode_trajectory
 from hpid_ros.messages.references import Disagreement, Flags, ReferenceCandidate
 from hpid_ros.messages.senders import (
@@ -47,7 +51,7 @@ from hpid_ros.messages.senders import (
     returns,
     stands_every_other,
 )
-from hpid_ros.messages.series import HOLD, SeriesError, StampQuality
+from hpid_ros.messages.series import HOLD, MEASURED, SeriesError, StampQuality
 from hpid_ros.messages.spill import Spill
 from hpid_ros.motion.joint_trajectory import Column, JointTrajectory
 
@@ -220,6 +224,7 @@ def joint_of(topic: str) -> str:
 _FLOATS = (FLOAT64, FLOAT64_MULTI_ARRAY)
 REPORTS = (CONTROLLER_STATE, MULTI_DOF_STATE)
 """Types in which controllers of ros2_control report reference and output of each joint."""
+_OF_CONTROLLERS = (*REPORTS, JOINT_TRAJECTORY)
 _WITHOUT_JOINT = ("control_msgs/msg/PidState", "control_msgs/msg/JointControllerState")
 """Types in which a single PID reports, which name no joint."""
 _EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
@@ -262,16 +267,29 @@ class TopicChoice:
     has_commands: bool = True
     is_measured: bool = False  # whether the efforts are those that the states measured
     may_be_measured: bool = False  # whether those are to be taken if nothing else carries efforts
+    measured_joints: frozenset[str] = (
+        frozenset()
+    )  # whose measured efforts are read beside commands
+    beside: tuple[str, ...] = ()  # those of the commands that are reports beside joint_commands
     in_doubt: tuple[str, ...] = ()  # topics that may carry efforts, or something else
     others: tuple[str, ...] = ()  # of commands, taken for another robot's, where there are no more
+    other_states: tuple[str, ...] = ()  # joint_states that nobody chose or left out
+    not_own: tuple[str, ...] = ()  # reports and trajectories that are taken for another robot's
     relays: tuple[str, ...] = ()  # where controllers are asked for relays
     nameless: tuple[str, ...] = ()  # on which a single PID reports without its joint's name
     speed_scalings: tuple[str, ...] = ()  # how fast trajectories are followed
 
-    def measured(self) -> TopicChoice:
-        """Return the same with the efforts that the states measured, and no others."""
+    def measured(self, joints: Collection[str] | None = None) -> TopicChoice:
+        """Return the same with the efforts that the states measured: of some joints, or alone."""
+        if joints is not None:
+            return replace(self, measured_joints=frozenset(joints), may_be_measured=False)
         return replace(
-            self, commands=self.states, command_topics={}, is_measured=True, may_be_measured=False
+            self,
+            commands=self.states,
+            command_topics={},
+            is_measured=True,
+            may_be_measured=False,
+            beside=(),
         )
 
     @property
@@ -328,11 +346,24 @@ class _Chooser:
             references=self.references(),
             has_commands=asked != NO_COMMANDS,
             is_measured=commands == states,
+            beside=tuple(
+                name
+                for name in commands
+                if self.types[name] in REPORTS and self.types[commands[0]] == JOINT_STATE
+            ),
             may_be_measured=asked is None and not explicit,
             in_doubt=self.in_doubt({*commands, *(each.topic for each in topics.values())}),
             others=tuple(
                 matching("joint_commands", self.of_type(JOINT_STATE)) if are_missed else ()
             ),
+            other_states=tuple(
+                name
+                for name in self.of_type(JOINT_STATE)
+                if self.selection.states is None
+                and last_part(name) == "joint_states"
+                and name not in (*states, *commands)
+            ),
+            not_own=tuple(sorted({*self.below(*_OF_CONTROLLERS)} - {*self.own(*_OF_CONTROLLERS)})),
             relays=tuple(
                 name for name in self.below(FLOAT64_MULTI_ARRAY) if last_part(name) == "relay"
             ),
@@ -403,10 +434,12 @@ class _Chooser:
         are_several = len([x for x in candidates if last_part(x) == "joint_states"]) > 1  # robots
         if asked is None and are_several:
             found = [each for each in found if self.is_near(each)]
+        reports = tuple(self.own(*REPORTS))
         if found and asked is None and len(states) > 1:  # as its states, so its commands
-            return tuple(name for name in found if is_below(name, self.near)), {}
+            own = tuple(name for name in found if is_below(name, self.near))
+            return (*own, *reports) if own else (), {}
         if found and asked is None:
-            return (self.one("the commands", found, "--commands"),), {}
+            return (self.one("the commands", found, "--commands"), *reports), {}
         wanted: tuple[str, ...] = _EFFORTS_OF_A_JOINT
         if asked == EFFORT_COMMANDS:
             wanted += _COMMANDS_OF_A_JOINT
@@ -423,7 +456,6 @@ class _Chooser:
                     f"{self.listed()}"
                 )
             return (), floats
-        reports = tuple(self.own(*REPORTS))
         if floats or reports or has_explicit:
             return reports, floats
         found = [
@@ -534,6 +566,9 @@ def _by_up_to(found: Mapping[str, float]) -> str:
     return f"(by up to {max(found.values()):.3g} rad)"
 
 
+_MOST_NAMES = 5
+
+
 def _farthest(found: Mapping[str, float]) -> str:
     """Return joints and how far their references are apart, at most."""
     return f"{_first_joints(list(found))} {_by_up_to(found)}"
@@ -564,7 +599,30 @@ def _may_be_several(
 
 
 def _has_two_efforts(samples: JointSamples | None) -> bool:
-    return samples is not None and contradict_at_one_instant(samples.stamps_ns, samples.values)
+    if samples is None:
+        return False
+    stamps_ns = states_set_right(samples, set_backs(samples))
+    return contradict_at_one_instant(stamps_ns, samples.values)
+
+
+def _set_right(layouts: list[tuple[str, list[Integers]]]) -> list[tuple[str, list[Integers]]]:
+    """Return messages by layout with stamps as if their clock had never been set back."""
+    if all((times[0][1:] > times[0][:-1]).all() for _, times in layouts):
+        return layouts
+    joined = JointSamples.joined(
+        [JointSamples(stamps, logs, places, np.empty(0)) for _, (stamps, logs, places) in layouts]
+    )
+    order = np.lexsort((joined.places, joined.log_times_ns))
+    logged = JointSamples(
+        joined.stamps_ns[order], joined.log_times_ns[order], joined.places[order], joined.values
+    )
+    found = set_backs(logged)
+    if not found:
+        return layouts
+    stamps_ns = np.empty_like(joined.stamps_ns)
+    stamps_ns[order] = states_set_right(logged, found)
+    parts = np.split(stamps_ns, np.cumsum([len(times[0]) for _, times in layouts])[:-1])
+    return [(text, [part, *times[1:]]) for (text, times), part in zip(layouts, parts, strict=True)]
 
 
 def _parts(
@@ -614,6 +672,47 @@ def _senders_line(topic: str, what: str, joints: Sequence[str], found: Senders) 
     )
 
 
+class Glimpse(NamedTuple):
+    """What the first messages on a topic of states hold."""
+
+    topic: str
+    period: float  # [s] usual time between two; zero if there are not two
+    joints: frozenset[str]  # whose positions they have
+    joints_with_efforts: frozenset[str]  # whose efforts they have, and not 0 throughout
+
+    def __str__(self) -> str:
+        rate = f"{1.0 / self.period:.3g} Hz, " if self.period else ""
+        return f"{self.topic} ({rate}{'with' if self.joints_with_efforts else 'without'} efforts)"
+
+
+_GLIMPSED = 100  # messages that tell the rate
+
+
+def glimpse(topic: str, batches: Iterable[TopicBatch]) -> Glimpse:
+    """Return what the first messages on a topic of states hold."""
+    layouts = Layouts(JOINT_STATE)
+    positions, efforts = (JointStream(layouts, field) for field in ("position", "effort"))
+    times = np.empty(0, dtype=np.int64)
+    for batch in batches:
+        positions.add(batch)
+        efforts.add(batch)
+        times = np.concatenate((times, batch.log_times_ns))
+        if len(times) >= _GLIMPSED:
+            break
+    steps = np.diff(np.sort(times))
+    with_efforts = []
+    for joint in efforts.joints():
+        samples = efforts.peek(joint)
+        if samples is not None and finite(samples)[0].values.any():
+            with_efforts.append(joint)
+    return Glimpse(
+        topic,
+        float(np.median(steps)) / NANOSECONDS if len(steps) else 0.0,
+        positions.joints(),
+        frozenset(with_efforts),
+    )
+
+
 def decoded_trajectory(raw: bytes) -> TrajectoryArrays:
     """Return a serialised trajectory, checked."""
     decoded = decode_trajectory(raw, RECORDED)
@@ -648,6 +747,10 @@ class RecordedRun:
             topic: JointStream(of(topic), "effort", joints) for topic in choice.commands
         }
         self.reports = {topic for topic in choice.commands if types[topic] in REPORTS}
+        self.measured = {
+            topic: JointStream(of(topic), "effort", choice.measured_joints)
+            for topic in (choice.states if choice.measured_joints else ())
+        }
         elements: dict[str, dict[int, str]] = {}
         for joint, (topic, element) in choice.command_topics.items():
             elements.setdefault(topic, {})[element] = joint
@@ -676,6 +779,13 @@ class RecordedRun:
         self._qualities: list[tuple[Integers, int, StampQuality]] = []
         self._disagreements: dict[tuple[str, str, bool], dict[str, float]] = {}
         self._overruled: dict[tuple[str, str], dict[str, float]] = {}
+        self._contradictions: dict[tuple[str, str, bool], dict[str, float]] = {}
+        self._numberless: dict[tuple[tuple[str, ...], str], list[str]] = {}
+        # topic of states that are not read, but have efforts of a joint
+        self.efforts_elsewhere: dict[str, str] = {}
+        self._unstamped: dict[str, int] = {}
+        self._set_backs: dict[tuple[str, str], None] = {}
+        self._ahead: dict[str, tuple[str, int]] = {}
         self._turned: dict[str | None, dict[str, int]] = {}  # turns by joint, by its type
         # the same of references, by their topics, too
         self._turned_references: dict[tuple[str, str | None], dict[str, int]] = {}
@@ -686,7 +796,7 @@ class RecordedRun:
     def streams(self) -> Iterator[tuple[str, JointStream]]:
         """Yield topic and stream of everything but trajectories."""
         every = (self.states, self.commands, self.floats, self.setpoints, self.sampled)
-        for streams in (*every, self.feedbacks):
+        for streams in (*every, self.feedbacks, self.measured):
             yield from streams.items()
 
     def odd_lines(self) -> Iterator[str]:
@@ -761,6 +871,96 @@ class RecordedRun:
         largest = float(np.abs(found.values - asked.values)[differ].max())
         self._overruled.setdefault((found.topic, asked.topic), {})[joint] = largest
 
+    def note_unstamped(self, topic: str, count: int) -> None:
+        """Note messages that are left out, as they alone have no stamp."""
+        self._unstamped[topic] = max(count, self._unstamped.get(topic, 0))
+
+    def note_set_back(self, topic: str, at: float, by: float) -> None:
+        """Note that the clock of the states was set back, seconds after the first."""
+        self._set_backs[topic, f"{by:.3g} s at {at:.3f} s"] = None
+
+    def compares(self, topic: str) -> bool:
+        """Return whether the clock of a topic is still to be compared; once is enough."""
+        return topic not in self._ahead
+
+    def note_ahead(self, topic: str, states: str, ahead_ns: int) -> None:
+        """Note by how much the stamps of a topic are ahead of the states'."""
+        self._ahead[topic] = states, ahead_ns
+
+    def clock_lines(self) -> Iterator[str]:
+        """Yield a line for each thing about the stamps that was decided."""
+        for topic, count in self._unstamped.items():
+            messages = "1 message" if count == 1 else f"{count} messages"
+            their, stamps = ("its", "stamp is") if count == 1 else ("their", "stamps are")
+            yield (
+                f"{messages} on {topic} left out: {their} {stamps} 0, and those of the others are "
+                "not"
+            )
+        for topic, text in self._set_backs:
+            yield (
+                f"the clock of {topic} was set back by {text}: what follows is shifted by as "
+                "much, so that it begins one period later"
+            )
+        for topic, (states, ahead_ns) in self._ahead.items():
+            apart = f"{abs(ahead_ns) / NANOSECONDS:.2g} s"
+            if ahead_ns and states:
+                how = "later" if ahead_ns > 0 else "earlier"
+                yield (
+                    f"{topic} is stamped {apart} {how} than {states}, against the times at which "
+                    "both were received: their clocks differ, or one is late; --clock receive "
+                    "compares by the latter"
+                )
+            elif ahead_ns:
+                yield (
+                    f"{topic} is stamped {apart} before it was received, by the stamps of the "
+                    "states: their clocks differ, or it came late; it counts from its stamp on"
+                )
+
+    def note_other_states(self, read: Glimpse, others: Sequence[Glimpse]) -> None:
+        """Note topics that have states of the joints, too, where one was chosen by its name."""
+        known = self.known_joints()
+        for each in others:
+            shared = [joint for joint in known if joint in each.joints]
+            namespace = namespace_of(each.topic)
+            beside = [name for name in self.choice.not_own if is_below(name, namespace)]
+            left = f"; what is beside them is not read: {', '.join(beside)}" if beside else ""
+            if shared:
+                self.notes.append(
+                    f"{each} has states of {listed_names(shared, _MOST_NAMES)}, too: {read} is "
+                    f"read (--states {each.topic} takes the other){left}"
+                )
+            for joint in each.joints_with_efforts:
+                self.efforts_elsewhere.setdefault(joint, each.topic)
+
+    def contradict(self, joint: str, found: EffortContradiction) -> None:
+        """Note that two topics had unlike efforts of a joint."""
+        key = found.taken, found.left, found.is_left_out
+        self._contradictions.setdefault(key, {})[joint] = found.largest
+
+    def note_no_numbers(self, joint: str, topics: Sequence[str], instead: str) -> None:
+        """Note that the efforts of a joint on some topics are no numbers, and what is taken."""
+        self._numberless.setdefault((tuple(topics), instead), []).append(joint)
+
+    def effort_lines(self) -> Iterator[str]:
+        """Yield a line for each thing about the efforts that was decided."""
+        for (topics, instead), joints in self._numberless.items():
+            taken = f"those of {instead} are taken" if instead else "nothing else has any"
+            if instead.startswith(MEASURED):
+                taken = f"those that {' and '.join(self.choice.states)} measured are read"
+            names = listed_names(joints, _MOST_NAMES)
+            yield (
+                f"the efforts of {names} on {' and '.join(topics)} are not a number throughout: "
+                f"{taken}"
+            )
+        for (taken, left, is_left_out), found in self._contradictions.items():
+            names = listed_names(list(found), _MOST_NAMES)
+            how = f"{left} is left out" if is_left_out else f"{left} counts where that has none"
+            yield (
+                f"{taken} and {left} have unlike efforts of {names} at the same time (by up to "
+                f"{max(found.values()):.3g}): {taken} is taken, {how} (--commands TOPIC or "
+                "--command-topic JOINT=TOPIC[INDEX] names one)"
+            )
+
     def refuse(self, topic: str, place: int, reason: str) -> None:
         """Note a trajectory that no controller takes."""
         self._refused.setdefault(topic, {})[place] = reason
@@ -827,9 +1027,20 @@ class RecordedRun:
         self._qualities = [(stamps_ns, origin_ns, found), *self._qualities[:1]]
         return found
 
-    def has_efforts(self) -> bool:
-        streams = (*self.commands.values(), *self.floats.values())
-        return any(stream.joints() for stream in streams)
+    def commanded(self) -> tuple[set[str], dict[str, list[str]]]:
+        """Return joints with commanded efforts, and those whose efforts are no numbers.
+
+        The latter with the topics of these.
+        """
+        commanded: set[str] = set()
+        numberless: dict[str, list[str]] = {}
+        for topic, stream in (*self.floats.items(), *self.commands.items()):
+            for joint in stream.joints():
+                if stream.has_numbers(joint):
+                    commanded.add(joint)
+                else:
+                    numberless.setdefault(joint, []).append(topic)
+        return commanded, {k: numberless[k] for k in sorted(numberless) if k not in commanded}
 
     def resolve_senders(self, wanted: str | None) -> None:
         """Keep one sender of each joint, the wanted one or the one that goes on, and say so.
@@ -839,8 +1050,10 @@ class RecordedRun:
         """
         found: list[tuple[str, Senders]] = []
         for topic, stream in self.states.items():
-            efforts = self.commands.get(topic) if self.choice.is_measured else None
-            for joints, layouts in stream.shared():
+            measured = self.commands if self.choice.is_measured else self.measured
+            efforts = measured.get(topic)
+            for joints, logged in stream.shared():
+                layouts = _set_right(logged)
                 if len(layouts) < 2 and not _may_be_several(stream, efforts, joints, layouts[0]):
                     continue
                 senders = find_senders(_parts(stream, efforts, joints, layouts), wanted)
@@ -853,7 +1066,8 @@ class RecordedRun:
         for topic, stream in self.commands.items():
             if self.choice.is_measured or topic in self.reports:
                 continue
-            for joints, layouts in stream.shared():
+            for joints, logged in stream.shared():
+                layouts = _set_right(logged)
                 if not any(_has_two_efforts(stream.peek(joint)) for joint in joints):
                     continue
                 senders = find_senders(_parts(None, stream, joints, layouts), wanted)
@@ -874,6 +1088,10 @@ class RecordedRun:
         """Return the joints that states name, in their order."""
         return list(dict.fromkeys(name for each in self.states.values() for name in each.names))
 
+    def topic_of_states(self, joint: str) -> str:
+        """Return the topic of a joint's states; empty if there is none."""
+        return next((topic for topic, stream in self.states.items() if stream.has(joint)), "")
+
     def take_states(self, joint: str) -> JointSamples | None:
         """Return one joint's positions and forget them; None if there are none."""
         topics = [topic for topic, stream in self.states.items() if stream.has(joint)]
@@ -887,9 +1105,10 @@ class RecordedRun:
     def concerned_joints(self) -> set[str]:
         """Return those that are commanded or have a reference, known or not."""
         concerned: set[str] = set()
-        commands = () if self.choice.is_measured else self.commands.values()
-        for stream in (*commands, *self.sampled.values()):
-            concerned.update(stream.names)
+        commands = {} if self.choice.is_measured else self.commands
+        for topic, stream in (*commands.items(), *self.sampled.items()):
+            is_beside = topic in self.choice.beside and topic not in self.sampled
+            concerned.update(stream.joints() if is_beside else stream.names)
         for stream in (*self.floats.values(), *self.setpoints.values()):
             concerned.update(stream.joints())
         for _, _, _, arrays in self.trajectories:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from hpid_ros.base.errors import unknown_name
+from hpid_ros.base.errors import listed_names, unknown_name
 from hpid_ros.messages.series import (
     GIVEN,
     HELD,
@@ -503,9 +503,16 @@ def _assumed(run: RunSeries) -> dict[Data, str]:
     assumed = {}
     if any(each.reference == HOLD for each in qualities):
         assumed[Data.REFERENCE] = HELD
-    measured = dict.fromkeys(q.effort for q in qualities if q.effort.startswith(MEASURED))
+    measured: dict[str, list[str]] = {}
+    for joint, each in run.quality.joints.items():
+        if each.effort.startswith(MEASURED):
+            measured.setdefault(each.effort, []).append(joint)
+    is_every = not any(q.effort != NONE and q.effort not in measured for q in qualities)
     if measured:
-        assumed[Data.EFFORT] = " and ".join(measured)
+        assumed[Data.EFFORT] = " and ".join(
+            text if is_every else f"{text} ({listed_names(joints)})"
+            for text, joints in measured.items()
+        )
     return assumed
 
 
