@@ -338,6 +338,9 @@ def carried(
 _LAYOUTS_AT_MOST = 64
 """Layouts of the same joints that are told apart; who has more sends none twice."""
 
+_SMALL = 1024
+"""Messages of a group that are kept as one block; fewer wait for more."""
+
 _LAYOUTS_KNOWN = 8  # of a topic, which need not be learned again
 
 _PROBED = 1000  # numbers of a joint in a probe
@@ -443,15 +446,32 @@ class _Group:
     """Messages of one layout, which carry numbers of the same joints, whose times these share."""
 
     def __init__(self, key: _GroupKey, joints: Sequence[str], text: str, of: Layouts) -> None:
-        self.key, self.text = key, text
+        self.key, self.text, self.joints = key, text, tuple(joints)
         self.rows = {joint: row for row, joint in enumerate(joints)}
         self._of, self._times = of, list[_Times]()
-        self._blocks: list[tuple[int, Kept]] = []  # numbers of messages and of their joints
+        self._kept: list[tuple[int, Kept]] = []  # numbers of messages and of their joints
+        self._small: list[Numbers] = []  # those of blocks that wait to be kept as one
+        self._waiting = 0  # how many messages these are
 
     def add(self, times: _Times, numbers: Numbers) -> None:
         """Add messages: their times, and the numbers of each joint, (joints, n)."""
         self._times.append(times)
-        self._blocks.append((numbers.shape[1], self._of.spill.keep(numbers)))
+        self._small.append(numbers)
+        self._waiting += numbers.shape[1]
+        if self._waiting >= _SMALL:
+            self._keep()
+
+    def _keep(self) -> None:
+        """Keep the blocks that wait as one."""
+        small, self._small, self._waiting = self._small, [], 0
+        if small:
+            numbers = small[0] if len(small) == 1 else np.concatenate(small, axis=1)
+            self._kept.append((numbers.shape[1], self._of.spill.keep(numbers)))
+
+    @property
+    def _blocks(self) -> list[tuple[int, Kept]]:
+        self._keep()
+        return self._kept
 
     @cached_property
     def clock(self) -> list[Integers]:
@@ -602,14 +622,15 @@ class JointStream:
         key: _GroupKey = tuple(columns), layout.fixed
         group = self._groups.get(key)
         if group is None and len(self._groups) >= _LAYOUTS_AT_MOST:
-            key = tuple(columns), ()
+            key = tuple(sorted(columns)), ()  # however they are ordered
             group = self._groups.get(key)
         if group is None:
             group = _Group(key, tuple(columns), layout.text, self._layouts)
             self._groups[key] = group
             for joint in columns:
                 self._of.setdefault(joint, []).append(group)
-        numbers = layout.columns(alike.rows, self._field, list(columns.values()))
+        at = [columns[joint] for joint in group.joints]
+        numbers = layout.columns(alike.rows, self._field, at)
         group.add(alike.times, numbers)
 
     def _columns(self, layout: Layout) -> dict[str, int]:

@@ -743,6 +743,7 @@ def read_run(
             stood_still=time_stood_still(storage.custom_data),
         )
     joints = _joints(where, recording, chosen)
+    chosen = replace(chosen, clock=recording.resolve_clock(chosen.clock))
     try:
         return _run(
             *(label, recording, joints, chosen, quality),

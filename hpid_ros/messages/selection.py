@@ -44,6 +44,7 @@ from hpid_ros.messages.references import Disagreement, Flags, ReferenceCandidate
 from hpid_ros.messages.senders import (
     Part,
     Senders,
+    coarse_ns,
     contradict_at_one_instant,
     find_senders,
     has_several_clocks,
@@ -567,6 +568,8 @@ def _by_up_to(found: Mapping[str, float]) -> str:
 
 
 _MOST_NAMES = 5
+_SHARED_MOVE = 0.05  # of the states that share a stamp; with fewer that move they are repeats
+_COARSE_STEPS = 1.5  # by so many steps coarse stamps are behind receive times, at most
 
 
 def _farthest(found: Mapping[str, float]) -> str:
@@ -583,7 +586,6 @@ def _turns_of(joints: Mapping[str, int], kind: str | None) -> str:
 
 def _may_be_several(
     stream: JointStream,
-    efforts: JointStream | None,
     joints: Sequence[str],
     layout: tuple[str, list[Integers]],
 ) -> bool:
@@ -591,11 +593,45 @@ def _may_be_several(
     stamps_ns, log_times_ns, _ = layout[1]
     if may_be_several(stamps_ns) or has_several_clocks(stamps_ns, log_times_ns):
         return True
-    if any(returns(some) for joint in joints for some in stream.probes(joint)):
-        return True
-    return efforts is not None and any(
-        stands_every_other(some) for joint in joints for some in efforts.probes(joint)
+    return any(returns(some) for joint in joints for some in stream.probes(joint))
+
+
+def _coarse(joints: Iterable[JointSamples]) -> tuple[int, bool]:
+    """Return the step of stamps that unlike states share, and whether they are receive times.
+
+    The step is 0 where stamps are not coarse, in [ns].
+    """
+    for samples in joints:
+        stamps_ns, log_times_ns, _, values = samples
+        step = coarse_ns(stamps_ns, log_times_ns)
+        if not step:
+            return 0, False
+        is_shared = stamps_ns[1:] == stamps_ns[:-1]
+        moved = np.count_nonzero(np.abs(np.diff(values))[is_shared] > 0.0)
+        if moved > _SHARED_MOVE * np.count_nonzero(is_shared):
+            return step, bool(np.ptp(log_times_ns - stamps_ns) < _COARSE_STEPS * step)
+    return 0, False
+
+
+def _doubt_lines(
+    topic: str, stream: JointStream, efforts: JointStream | None, joints: Sequence[str]
+) -> Iterator[str]:
+    """Yield a line for numbers that alternate, where nothing else tells of a second sender."""
+    alternate = (
+        (stream, returns, "positions come back from state to state, by more than 0.02"),
+        (efforts, stands_every_other, "every other effort is one and the same number"),
     )
+    for of, does, what in alternate:
+        names = [
+            joint
+            for joint in joints
+            if of is not None and any(does(some) for some in of.probes(joint))
+        ]
+        if names:
+            yield (
+                f"{listed_names(names, 3)} on {topic}: {what}: taken for one sender's, "
+                "as neither stamps nor positions prove a second one"
+            )
 
 
 def _has_two_efforts(samples: JointSamples | None) -> bool:
@@ -633,29 +669,24 @@ def _parts(
 ) -> list[Part]:
     """Return the messages of some joints by layout, with their positions and measured efforts."""
 
-    def columns(of: JointStream | None, places: Integers) -> dict[str, Numbers]:
-        found = {}
+    def columns(of: JointStream | None) -> list[dict[str, Numbers]]:
+        found: list[dict[str, Numbers]] = [{} for _ in layouts]
         for joint in joints:
             samples = None if of is None else of.peek(joint)
             if samples is None:
                 continue
             order = np.argsort(samples.places)
-            at = np.searchsorted(samples.places[order], places)
-            at = order[np.minimum(at, len(order) - 1)]
-            if (samples.places[at] == places).all():
-                found[joint] = np.nan_to_num(samples.values[at])
+            known = samples.places[order]
+            for (_, (_, _, places)), numbers in zip(layouts, found, strict=True):
+                at = np.minimum(np.searchsorted(known, places), len(known) - 1)
+                if (known[at] == places).all():
+                    numbers[joint] = np.nan_to_num(samples.values[order[at]])
         return found
 
+    parts = zip(layouts, columns(stream), columns(efforts), strict=True)
     return [
-        Part(
-            text,
-            stamps_ns,
-            log_times_ns,
-            places,
-            columns(stream, places),
-            columns(efforts, places),
-        )
-        for text, (stamps_ns, log_times_ns, places) in layouts
+        Part(text, stamps_ns, log_times_ns, places, values, numbers)
+        for (text, (stamps_ns, log_times_ns, places)), values, numbers in parts
     ]
 
 
@@ -1053,11 +1084,11 @@ class RecordedRun:
             measured = self.commands if self.choice.is_measured else self.measured
             efforts = measured.get(topic)
             for joints, logged in stream.shared():
-                layouts = _set_right(logged)
-                if len(layouts) < 2 and not _may_be_several(stream, efforts, joints, layouts[0]):
-                    continue
-                senders = find_senders(_parts(stream, efforts, joints, layouts), wanted)
+                layouts, senders = _set_right(logged), None
+                if len(layouts) > 1 or _may_be_several(stream, joints, layouts[0]):
+                    senders = find_senders(_parts(stream, efforts, joints, layouts), wanted)
                 if senders is None:
+                    self.notes.extend(_doubt_lines(topic, stream, efforts, joints))
                     continue
                 found.append((_senders_line(topic, "states", joints, senders), senders))
                 for each in (stream,) if efforts is None else (stream, efforts):
@@ -1083,6 +1114,28 @@ class RecordedRun:
                 f"no sender is {wanted!r}: "
                 + ("; ".join(lines) or "each joint has one sender, by what can be seen")
             )
+
+    def resolve_clock(self, clock: str) -> str:
+        """Return the clock to read with, the receive times where stamps are those made coarse."""
+        if clock != "header":
+            return clock
+        for topic, stream in self.states.items():
+            for joints, layouts in stream.shared():
+                if len(layouts) == 1 and (np.diff(layouts[0][1][0]) > 0).all():
+                    continue
+                step, is_receive = _coarse(filter(None, map(stream.peek, joints)))
+                if not step:
+                    continue
+                line = (
+                    f"the stamps of {topic} come in steps of {step / NANOSECONDS:.3g} s, and "
+                    "several states of one sender share each: "
+                )
+                if is_receive:
+                    self.notes.append(f"{line}receive times are taken (as with --clock receive)")
+                    return "receive"
+                self.notes.append(f"{line}the last one stands (--clock receive takes all)")
+                return clock
+        return clock
 
     def known_joints(self) -> list[str]:
         """Return the joints that states name, in their order."""

@@ -3,7 +3,9 @@
 A joint has one driver. Where a second node publishes it (``joint_state_publisher`` next to a
 driver, two drivers), a recording has two sequences that take turns. They are told apart by what
 their messages look like (names and their order, fields, ``frame_id``), by their clocks, and by
-their periods. Sequences that say the same, or that follow each other, are one.
+their periods. Sequences that say the same, or that follow each other, are one, and so are layouts
+that make one regular sequence of one motion. Efforts that alternate prove nothing: controllers
+chatter.
 """
 
 from __future__ import annotations
@@ -36,8 +38,20 @@ _EXACT = 0.15  # so near are most steps of a sender to its period; of what comes
 _MOST = 0.7  # share of the steps, of few a larger one
 _EXPLAINED = 0.9  # share of the messages that are of the first two sequences of as many senders
 _MADE_UP = 0.9  # share of the other messages that come for one that is missing: they are late ones
+_LOOKED, _LOOKS = 3000, 5  # messages at a time, and how often, to tell one sequence
+_UNEVEN, _EVEN = 0.15, 0.06  # shares of those that may be off, and of a step by which others are
+_SOON = 2  # steps of a sender within which what is late comes
 _PROBED = 1500  # messages from which periods are guessed
 _LAGS = 4  # at most so many senders share a layout
+_ACCELERATION = 3000.0  # [rad/s^2], [m/s^2] beyond it no joint swings from state to state
+_STANDS = 0.4  # of the messages, at least, are those of one of two senders that stands still
+_MOVES = 0.9  # and at most
+_NEAR = 3.0  # usual steps between the neighbours of what is compared with the line between them
+_COARSE = 0.6  # stamps a message; fewer are coarse, where receive times are one sequence
+_OR = " or "  # between the layouts of a sender
+_OVERLAP = 0.05  # of the messages; what shares less of its time comes one after the other
+_SMALLEST = 1e-9  # [rad], [N m] smaller steps are rounding
+_TEXTS = 3  # layouts of a sender that are named
 _JOINTS = 4  # whose values are compared while sequences are followed
 
 
@@ -60,9 +74,14 @@ class Part(NamedTuple):
 
     @property
     def times_ns(self) -> _Integers:
-        """Stamps; receive times where there are none, or where their clock was set back."""
-        is_set_back = (np.diff(self.stamps_ns) <= -_CLOCKS_APART_NS).any()
-        return self.log_times_ns if is_set_back or not self.stamps_ns.any() else self.stamps_ns
+        """Stamps; receive times where there are none, or coarse ones, or a clock was set back."""
+        return self.stamps_ns if self.is_on_stamps else self.log_times_ns
+
+    @property
+    def is_on_stamps(self) -> bool:
+        if (np.diff(self.stamps_ns) <= -_CLOCKS_APART_NS).any() or not self.stamps_ns.any():
+            return False
+        return not coarse_ns(self.stamps_ns, self.log_times_ns)
 
     @property
     def span(self) -> float:
@@ -106,7 +125,7 @@ def find_senders(parts: Sequence[Part], wanted: str | None = None) -> Senders | 
         parts: The messages by layout.
         wanted: Which to take, see :func:`matches`; the first if None, or where it matches none.
     """
-    found = [each for part in parts for each in _by_clock(part)]
+    found = [each for part in _united(parts) for each in _by_clock(part)]
     found = [each for part in found for each in _by_period(part)]
     found = [each for each in found if len(each.places) >= FEWEST]
     if len(found) < 2:
@@ -242,27 +261,131 @@ def returns(positions: Numbers) -> int:
 
 
 def stands_every_other(efforts: Numbers) -> bool:
-    """Return whether every other effort is one number, and those between are not."""
+    """Return whether every other effort is one number, and those between are not.
+
+    So does one sender that chatters against a limit, or that measures every other cycle.
+    """
     if len(efforts) < 4 * _LAGS:
         return False
     spans = [float(np.ptp(efforts[first::2])) for first in (0, 1)]
     return min(spans) == 0.0 and max(spans) > _LEAST_OFF
 
 
-def _by_period(part: Part) -> list[Part]:
+def coarse_ns(stamps_ns: _Integers, log_times_ns: _Integers) -> int:
+    """Return the step of stamps that several messages of one sender share; 0 of others, in [ns].
+
+    What several senders send at one instant comes at once, or nearly so.
+    """
+    if len(stamps_ns) < 2 * FEWEST or (stamps_ns[1:] > stamps_ns[:-1]).all():
+        return 0
+    stamps, counts = np.unique(stamps_ns, return_counts=True)
+    if len(stamps) < 2 or len(stamps) > _COARSE * len(stamps_ns):
+        return 0
+    if np.median(counts) <= _LAGS and may_be_several(log_times_ns):
+        return 0
+    return int(np.median(np.diff(stamps)))
+
+
+def _united(parts: Sequence[Part]) -> list[Part]:
+    """Unite layouts that make one regular sequence of one motion."""
+    if len(parts) < 2:
+        return list(parts)
+    is_one = _is_one_sequence(_joined(parts))
+    found: list[Part] = []
+    for part in sorted(parts, key=lambda each: -len(each.places)):
+        for n, each in enumerate(found):
+            if _contradict(each, part, by_efforts=False):
+                continue
+            both = _joined((each, part))
+            if is_one or _is_one_sequence(both):
+                found[n] = both
+                break
+        else:
+            found.append(part)
+    return found
+
+
+def _joined(parts: Sequence[Part]) -> Part:
+    """Return the messages of some layouts as those of one."""
+    places = np.concatenate([each.places for each in parts])
+    order = np.argsort(places, kind="stable")
+
+    def columns(of: Sequence[Mapping[str, Numbers]]) -> dict[str, Numbers]:
+        names = [name for name in of[0] if all(name in each for each in of)]
+        return {name: np.concatenate([each[name] for each in of])[order] for name in names}
+
+    texts = list(dict.fromkeys(text for each in parts for text in each.text.split(_OR)))
+    return Part(
+        _OR.join(texts[:_TEXTS]),
+        np.concatenate([each.stamps_ns for each in parts])[order],
+        np.concatenate([each.log_times_ns for each in parts])[order],
+        places[order],
+        columns([each.values for each in parts]),
+        columns([each.efforts for each in parts]),
+    )
+
+
+def _is_one_sequence(part: Part) -> bool:
+    """Return whether messages can be of one sender, by the times of some of them."""
+    count = len(part.places)
+    firsts = np.linspace(0, max(count - _LOOKED, 0), min(_LOOKS, 1 + count // _LOOKED))
+    looks = (
+        _without_repeats(part.picked(np.arange(first, min(first + _LOOKED, count))))
+        for first in firsts.astype(np.int64).tolist()
+    )
+    return len(_by_clock(part)) == 1 and all(
+        len(_by_period(each, by_positions=False)) == 1 for each in looks
+    )
+
+
+def _without_repeats(part: Part) -> Part:
+    """Return the messages without those that say again what was said at their time."""
+    times_ns = part.times_ns
+    order = np.argsort(times_ns, kind="stable")
+    is_again = times_ns[order[1:]] == times_ns[order[:-1]]
+    if not is_again.any():
+        return part
+    for x in (*part.values.values(), *part.efforts.values()):
+        is_again &= np.abs(x[order[1:]] - x[order[:-1]]) <= _LEAST_OFF
+    return part.picked(np.sort(order[np.concatenate(([True], ~is_again))]))
+
+
+def _senders_by_positions(x: Numbers, times_ns: _Integers) -> int:
+    """Return how many senders come in turn, by positions that are no motion; 0 if they may be one.
+
+    A joint can swing at half the rate of its states, but neither at any acceleration, nor so that
+    every other position is the very same number.
+    """
+    lag = returns(x)
+    if not lag:
+        return 0
+    period = float(np.median(np.diff(times_ns))) / NANOSECONDS
+    swing = float(np.median(np.abs(x[2:] - 2.0 * x[1:-1] + x[:-2])))
+    if swing > _ACCELERATION * period**2:
+        return lag
+    still = x[lag:][x[lag:] == x[:-lag]]
+    does_stand = _STANDS * 2.0 / lag * len(x) <= len(still) <= _MOVES * len(x)
+    return lag if does_stand and np.ptp(still) == 0.0 else 0
+
+
+def _by_period(part: Part, by_positions: bool = True) -> list[Part]:
     """Separate senders of one layout by their periods, and by what they send at one instant."""
-    order = np.argsort(part.times_ns, kind="stable")
-    fewest = max((returns(each[order]) for each in part.values.values()), default=0)
-    if not fewest and any(stands_every_other(each[order]) for each in part.efforts.values()):
-        fewest = 2
-    if not fewest and not may_be_several(part.times_ns):
+    times_ns = part.times_ns
+    order = np.argsort(times_ns, kind="stable")
+    fewest = 0
+    if by_positions:
+        counts = (_senders_by_positions(x[order], times_ns[order]) for x in part.values.values())
+        fewest = max(counts, default=0)
+    is_even = not may_be_several(times_ns)
+    if not fewest and is_even:
         return [part]
-    times = (part.times_ns[order] - part.times_ns[order[0]]).astype(float)
+    times = (times_ns[order] - times_ns[order[0]]).astype(float)
     values = _scaled(part, order)
     free = np.ones(len(order), dtype=np.bool_)
     found: list[_Integers] = []
     for _ in range(_LAGS):
-        period = _period(times[free], values[free], 1 if found else max(fewest, 1))
+        shortest = max(fewest, 1) if is_even and not found else 1
+        period = _period(times[free], values[free], shortest)
         if period is None:
             break
         chain = np.flatnonzero(free)[_chain(times[free], values[free], period)]
@@ -299,11 +422,35 @@ def _tells_several(
     is_regular = exact >= min(_MOST + 1.0 / math.sqrt(len(steps)), 1.0)
     if not is_regular and sum(map(len, found[:2])) < _EXPLAINED * len(times):
         return False
+    if _fill_in(first, others):
+        return False
+    # Where many are lost, others seem to make up for them.
+    if _contradict(part.picked(order[is_first]), part.picked(order[~is_first]), by_efforts=False):
+        return True
     missing = np.maximum(np.rint(steps / period).astype(np.int64) - 1, 0)
     after = np.clip(np.searchsorted(first, others) - 1, 0, len(missing) - 1)
     came = np.bincount(after, minlength=len(missing))
-    before = np.concatenate(([0], np.maximum(missing - came, 0)[:-1]))
-    return bool(np.minimum(came, missing + before).sum() < _MADE_UP * len(others))
+    soon = np.convolve(came, np.ones(_SOON, dtype=np.int64))[_SOON - 1 :]
+    balance = np.cumsum(np.minimum(missing, soon) - came)
+    besides = -min(int(balance.min()), 0)  # those before which none was missing
+    return besides > (1.0 - _MADE_UP) * len(others)
+
+
+def _fill_in(times: Numbers, others: Numbers) -> bool:
+    """Return whether others divide the steps between some times into equal ones."""
+    steps = np.diff(times)
+    after = np.searchsorted(times, others, "right") - 1
+    is_inner = (after >= 0) & (after < len(steps))
+    after, others = after[is_inner], others[is_inner]
+    share = len(others) / len(steps)
+    parts = 1 + round(share)
+    if parts < 2 or abs(share - parts + 1) > _UNEVEN * (parts - 1):
+        return False
+    places = parts * (others - times[after]) / steps[after]
+    off = places - np.rint(places)
+    is_between = (np.rint(places) > 0.0) & (np.rint(places) < parts)
+    is_even = abs(float(np.median(off))) < _EVEN and float(np.median(np.abs(off))) < _WITHIN
+    return bool(is_even and np.mean(is_between) > _MOST)
 
 
 def has_equal(times_ns: _Integers) -> bool:
@@ -312,9 +459,11 @@ def has_equal(times_ns: _Integers) -> bool:
 
 
 def _scaled(part: Part, order: _Integers) -> Numbers:
-    """Return positions, and efforts, in units of how far they jump, (n, some)."""
-    columns = []
+    """Return positions in units of how far they jump, efforts where none moves, (n, some)."""
+    columns: list[Numbers] = []
     for numbers in (part.values, part.efforts):
+        if columns:
+            break  # efforts may alternate
         jumps = {k: float(np.quantile(np.abs(np.diff(x[order])), 0.9)) for k, x in numbers.items()}
         for name in sorted(jumps, key=lambda name: -jumps[name])[:_JOINTS]:
             if jumps[name] > 0.0:
@@ -369,19 +518,21 @@ def _take_turns(one: Part, other: Part) -> bool:
     return int(np.count_nonzero(np.diff(is_other[np.argsort(places)]))) >= _SWITCHES
 
 
-def _contradict(one: Part, other: Part) -> bool:
-    """Return whether a sequence lies off the line between another's numbers."""
+def _contradict(one: Part, other: Part, by_efforts: bool = True) -> bool:
+    """Return whether a sequence lies off the line between another's neighbouring numbers."""
     if len(other.places) > len(one.places):
         one, other = other, one
-    fields = ((one.values, other.values, math.tau), (one.efforts, other.efforts, 0.0))
-    on_stamps = one.stamps_ns.any() and other.stamps_ns.any()
-    on_stamps = on_stamps and one.stamps_ns.min() <= other.stamps_ns.max()
-    on_stamps = on_stamps and other.stamps_ns.min() <= one.stamps_ns.max()
+    fields = [(one.values, other.values, math.tau)]
+    if by_efforts:
+        fields.append((one.efforts, other.efforts, 0.0))
+    on_stamps = one.is_on_stamps and other.is_on_stamps
+    on_stamps = on_stamps and bool(one.stamps_ns.min() <= other.stamps_ns.max())
+    on_stamps = on_stamps and bool(other.stamps_ns.min() <= one.stamps_ns.max())
     at, of_other = (x.stamps_ns if on_stamps else x.log_times_ns for x in (one, other))
     order = np.argsort(at, kind="stable")
     at = at[order]
-    inner = (of_other >= at[0]) & (of_other <= at[-1])
-    if np.count_nonzero(inner) < FEWEST:
+    inner = _beside(at, of_other)
+    if np.count_nonzero(inner) < max(FEWEST, _OVERLAP * len(inner)):
         return False
     t = (at - at[0]).astype(float)
     t_other = (of_other[inner] - at[0]).astype(float)
@@ -390,11 +541,49 @@ def _contradict(one: Part, other: Part) -> bool:
             x = numbers[name][order]
             x = np.unwrap(x) if turn else x
             off = _less_turns(others[name][inner] - np.interp(t_other, t, x), turn)
-            own = _less_turns(x[1:-1] - 0.5 * (x[:-2] + x[2:]), turn) if len(x) > 2 else off * 0.0
-            usual = float(np.quantile(np.abs(own), 0.75)) if own.size else 0.0
-            if np.quantile(np.abs(off), 0.75) > max(_LEAST_OFF, _OFF * usual):
+            own = np.abs(_less_turns(_off_neighbours(t, x), turn))
+            usual = float(np.quantile(own, 0.75)) if own.size else 0.0
+            apart = float(np.quantile(np.abs(off), 0.75)) if len(off) else 0.0
+            if apart <= max(_LEAST_OFF, _OFF * usual):
+                continue
+            if apart > min(map(_resolution, (x, others[name]))):
                 return True
     return False
+
+
+def _resolution(x: Numbers) -> float:
+    """Return how far numbers are apart that are next to each other; 0 where all are one."""
+    steps = np.diff(np.unique(x))
+    steps = steps[steps > _SMALLEST]
+    return float(steps.min()) if len(steps) else 0.0
+
+
+def _beside(at: _Integers, of_other: _Integers) -> NDArray[np.bool_]:
+    """Return which times have neighbours on both sides that follow each other closely."""
+    inner: NDArray[np.bool_] = (of_other >= at[0]) & (of_other <= at[-1])
+    after = np.clip(np.searchsorted(at, of_other), 1, max(len(at) - 1, 1))
+    if len(at) < 2:
+        return inner
+    steps = np.diff(at)
+    usual = float(np.median(steps))
+    if not usual:
+        return inner
+    inner &= (
+        (steps[after - 1] <= _NEAR * usual) | (at[after] == of_other) | (at[after - 1] == of_other)
+    )
+    return inner
+
+
+def _off_neighbours(t: Numbers, x: Numbers) -> Numbers:
+    """Return how far numbers are from the line between the one before and the one after."""
+    if len(x) < 3:
+        return np.zeros(0)
+    whole = t[2:] - t[:-2]
+    share = np.divide(t[1:-1] - t[:-2], whole, out=np.full(len(whole), 0.5), where=whole > 0.0)
+    off: Numbers = x[1:-1] - (x[:-2] + share * (x[2:] - x[:-2]))
+    if len(whole) and (usual := float(np.median(np.diff(t)))):
+        off = off[whole <= _NEAR * usual]
+    return off
 
 
 def _less_turns(x: Numbers, turn: float) -> Numbers:
