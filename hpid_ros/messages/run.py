@@ -806,6 +806,11 @@ def _recording(
             f"{', '.join(choice.in_doubt)}: efforts, positions or velocities, their types do not "
             "say which: not read; --commands effort takes them for efforts"
         )
+    if choice.goals and not (choice.references.controller_state or choice.references.trajectories):
+        recording.notes.append(
+            f"{', '.join(choice.goals)}: goals of an action, or its feedback: not read; record "
+            "controller_state, or give the motion (--reference FILE)"
+        )
     if choice.nameless and not choice.references.controller_state:
         recording.notes.append(
             f"{', '.join(choice.nameless)}: errors and outputs of a PID, which name no joint: not "

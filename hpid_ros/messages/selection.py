@@ -228,6 +228,12 @@ REPORTS = (CONTROLLER_STATE, MULTI_DOF_STATE)
 _OF_CONTROLLERS = (*REPORTS, JOINT_TRAJECTORY)
 _WITHOUT_JOINT = ("control_msgs/msg/PidState", "control_msgs/msg/JointControllerState")
 """Types in which a single PID reports, which name no joint."""
+_GOALS = (
+    "control_msgs/msg/FollowJointTrajectoryActionGoal",  # of ROS 1
+    "control_msgs/msg/FollowJointTrajectoryActionFeedback",
+    "control_msgs/action/FollowJointTrajectory_SendGoal_Event",
+    "control_msgs/action/FollowJointTrajectory_FeedbackMessage",
+)
 _EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
 _COMMANDS_OF_A_JOINT = ("command", "commands")
 """Positions, velocities or efforts: only who ran the controllers knows."""
@@ -278,6 +284,7 @@ class TopicChoice:
     not_own: tuple[str, ...] = ()  # reports and trajectories that are taken for another robot's
     relays: tuple[str, ...] = ()  # where controllers are asked for relays
     nameless: tuple[str, ...] = ()  # on which a single PID reports without its joint's name
+    goals: tuple[str, ...] = ()  # of an action, and its feedback
     speed_scalings: tuple[str, ...] = ()  # how fast trajectories are followed
 
     def measured(self, joints: Collection[str] | None = None) -> TopicChoice:
@@ -369,6 +376,7 @@ class _Chooser:
                 name for name in self.below(FLOAT64_MULTI_ARRAY) if last_part(name) == "relay"
             ),
             nameless=tuple(self.own(*_WITHOUT_JOINT)),
+            goals=tuple(self.own(*_GOALS)),
             speed_scalings=tuple(x for x in self.own(FLOAT64) if last_part(x) == _SPEED_SCALING),
         )
         if are_missed:

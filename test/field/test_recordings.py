@@ -36,6 +36,7 @@ from harness.recordings import (
     states,
     write,
 )
+from rosbags.typesys import get_types_from_msg
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.main import main
@@ -203,6 +204,21 @@ def test_what_a_pid_says_without_a_joint_is_named_where_nothing_says_more(tmp_pa
     beside = j1(write(tmp_path / "beside", kinds, log + reports(reports_too, WAVE)))
     assert not any("of a PID" in each for each in beside.defects)
     assert beside.run.joints["j1"]["itae"] == pytest.approx(itae(T, WAVE - LATE), rel=1e-12)
+
+
+def test_goals_of_an_action_are_named_where_nothing_else_is_a_reference(tmp_path):
+    """Their content is never read: any bytes will do."""
+    goal = "/arm/follow_joint_trajectory/goal"
+    kind = "control_msgs/msg/FollowJointTrajectoryActionGoal"
+    STORE.register(get_types_from_msg("string data\n", kind))
+    kinds = {"/joint_states": JOINT_STATE, goal: kind}
+    log = [*states(LATE), (goal, T0 + 1, made(kind, "a goal"))]
+    alone = j1(write(tmp_path / "alone", kinds, log))
+    assert any(f"{goal}: goals of an action" in each for each in alone.defects)
+    kinds["/arm/controller_state"] = CONTROLLER_STATE
+    log += reports("/arm/controller_state", WAVE)
+    beside = j1(write(tmp_path / "beside", kinds, log))
+    assert not any("of an action" in each for each in beside.defects)
 
 
 # Turns -----------------------------------------------------------------------------------------
