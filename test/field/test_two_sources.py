@@ -223,5 +223,6 @@ def test_a_controller_names_both_nodes_at_once_and_gives_the_fallback(harness, h
         return {each.effort for each in harness.commands[-20:]} == {(FALLBACK,)}
 
     harness.wait(falls_back, what="the fallback effort and no other")
-    harness.wait(is_ok, within=15.0, what="the takeover when one source is left")
+    left = "the takeover when one source is left"
+    harness.wait(is_ok, within=15.0, what=left, found=told.newest)
     assert told.newest()["takeovers"] == "1"

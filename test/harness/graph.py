@@ -81,12 +81,13 @@ class Harness:
         self.node.destroy_subscription(fresh)
         return heard
 
-    def wait(self, condition, within=60.0, what="the condition"):
-        """Spin until a condition holds."""
+    def wait(self, condition, within=60.0, what="the condition", found=lambda: ""):
+        """Spin until a condition holds; what was found in its place is told where it does not."""
         deadline = time.monotonic() + within
         while not condition():
             self.executor.spin_once(timeout_sec=0.02)
-            assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
+            if time.monotonic() >= deadline:
+                raise AssertionError(f"waited {within} s in vain for {what} {found()}".rstrip())
 
     def is_there(self, name, namespace="/"):
         """Tell whether a node publishes: its name alone may stay listed when it has gone."""
