@@ -170,5 +170,5 @@ def test_a_driver_that_repeats_a_state_gets_the_same_answer(driver):
 def test_the_controller_is_still_the_one_that_was_started(driver):
     """None of that has ended it, or let it think that it is another."""
     driver.hold(5, 0.2)
-    assert driver.told.newest()["lifecycle"] == "active"
+    driver.harness.wait(lambda: driver.told.says(lifecycle="active"), what="it to be active")
     assert driver.harness.is_there(NAME)
