@@ -168,7 +168,7 @@ def test_a_joint_is_held_at_the_end_of_its_trajectory_whatever_becomes_of_its_se
     listener.send(trajectory((0.1, there)), RARE, until=0.3)
     listener.step(100)
     assert set(listener.references[-60:]) == {0.3}
-    assert listener.told.newest()["lifecycle"] == "active"
+    listener.harness.wait(lambda: listener.told.says(lifecycle="active"), what="it to be active")
 
 
 # --- turns, in the pure loop
