@@ -481,9 +481,9 @@ class Following:
         if offsets:
             (away, under_way, change), least_ns = offsets[0].sample(stamp_ns), offsets[0].end_ns
             end_ns = max(end_ns, least_ns)
-            if rate or 2 * (end_ns - stamp_ns) > 3 * (least_ns - stamp_ns):
-                ending = Offset(0.0, under_way, change, stamp_ns, least_ns)
-                offsets = [offsets[0], ending, *offsets[1 : _MOST_FADING - 1]]
+            is_longer = rate != 0.0 or 2 * (end_ns - stamp_ns) > 3 * (least_ns - stamp_ns)
+            if is_longer and len(offsets) < _MOST_FADING:
+                offsets.insert(1, Offset(0.0, under_way, change, stamp_ns, least_ns))
                 under_way = change = 0.0
         if end_ns > stamp_ns:
             newest = Offset(away + jump, under_way + rate, change, stamp_ns, end_ns)

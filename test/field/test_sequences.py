@@ -366,3 +366,21 @@ def test_a_point_that_comes_late_is_gone_to_no_faster_than_planned(is_running, t
     rates = [state[1] for _, state in fed(following, messages, 0.0, 6.0, takeover_time)]
     assert max(rates) <= 1.5 * 1.001
     assert following.position == pytest.approx(3.0)
+
+
+@given(SEEDS)
+@examples(1)
+def test_many_messages_of_unlike_motions_do_not_step_the_reference(seed):
+    draw = draws(seed)
+    following = Following()
+    following.stand(0.0)
+    now_ns = 100 * SECOND
+    following.follow(Column("e", (Knot(0, 0.0, 1.0), Knot(9 * SECOND, 9.0, 1.0)), now_ns))
+    for k in range(1200):
+        now_ns += MS
+        before = following.sample(now_ns, 0.5, None)[0]
+        if k > 700:
+            rate, begin = draw.uniform(0.95, 1.05), k / 1000 - 1.0 + draw.uniform(-0.12, 0.12)
+            knots = Knot(0, begin, rate), Knot(4 * SECOND, begin + 4.0 * rate, rate)
+            following.follow(Column("e", knots, now_ns - SECOND))
+            assert following.sample(now_ns, 0.5, None)[0] == pytest.approx(before, abs=1e-9)

@@ -346,14 +346,13 @@ void Follower::fade_jump(double jump, double rate, double length, std::int64_t n
     const std::int64_t least_ns = offsets_[0].end_ns;
     left = offsets_[0].sample(now_ns);
     end_ns = std::max(end_ns, least_ns);
-    if (rate != 0.0 || 2 * (end_ns - now_ns) > 3 * (least_ns - now_ns)) {
+    const bool is_longer = rate != 0.0 || 2 * (end_ns - now_ns) > 3 * (least_ns - now_ns);
+    if (is_longer && fading_ < kMostFading) {
       // What is under way ends when it would have ended.
-      const std::size_t kept = std::min(fading_, kMostFading - 1);
-      std::move_backward(
-        offsets_.begin() + 1, offsets_.begin() + static_cast<std::ptrdiff_t>(kept),
-        offsets_.begin() + static_cast<std::ptrdiff_t>(kept) + 1);
+      const auto end = offsets_.begin() + static_cast<std::ptrdiff_t>(fading_);
+      std::move_backward(offsets_.begin() + 1, end, end + 1);
       offsets_[1] = {0.0, left[1], left[2], now_ns, least_ns};
-      fading_ = kept + 1;
+      ++fading_;
       left[1] = left[2] = 0.0;
     }
   }
