@@ -567,10 +567,6 @@ FOREIGN = 0.05, 0.1, 0.3  # [rad], share of the range, at most: what is farther 
 UNLIKE = 0.005, 0.05  # [rad] and share of the range: feedback that is farther is another position
 
 
-def _first_joints(joints: Sequence[str]) -> str:
-    return ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
-
-
 def _by_up_to(found: Mapping[str, float]) -> str:
     return f"(by up to {max(found.values()):.3g} rad)"
 
@@ -582,7 +578,7 @@ _COARSE_STEPS = 1.5  # by so many steps coarse stamps are behind receive times, 
 
 def _farthest(found: Mapping[str, float]) -> str:
     """Return joints and how far their references are apart, at most."""
-    return f"{_first_joints(list(found))} {_by_up_to(found)}"
+    return f"{listed_names(list(found), 3)} {_by_up_to(found)}"
 
 
 def _turns_of(joints: Mapping[str, int], kind: str | None) -> str:
@@ -699,7 +695,7 @@ def _parts(
 
 
 def _senders_line(topic: str, what: str, joints: Sequence[str], found: Senders) -> str:
-    names = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
+    names = listed_names(joints, 3)
     left = " and ".join(map(str, found.left))
     if len(found.left) == len(found.each) - 1:
         left = "the others are left out"
@@ -1038,7 +1034,7 @@ class RecordedRun:
             )
         for topic, unlike in self._unlike.items():
             yield (
-                f"{topic} reports other positions of {_first_joints(list(unlike))} than "
+                f"{topic} reports other positions of {listed_names(list(unlike), 3)} than "
                 f"{' and '.join(self.choice.states)} has {_by_up_to(unlike)}: the error is "
                 "against the states"
             )

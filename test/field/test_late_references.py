@@ -14,6 +14,7 @@ from harness.bags import (
     trajectory,
 )
 from harness.foreign_bags import float64, write
+from harness.recordings import CONTROLLER_STATE, DOF, DOFS, STORE, T0, header, made
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hpid_ros.base.errors import BagError
@@ -26,11 +27,7 @@ from hpid_ros.metrics.task import EndEffector, TaskFrame
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 
-T0 = 1_700_000_000 * S
-CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
-DOF, DOFS = "control_msgs/msg/SingleDOFState", "control_msgs/msg/MultiDOFStateStamped"
 FLOAT64, STRING = "std_msgs/msg/Float64", "std_msgs/msg/String"
-PARTS = ("reference", "feedback", "error", "output")
 URDF = """<robot name="r"><link name="base"/><link name="arm"/><link name="tip"/>
 <joint name="j1" type="{}"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
 <limit effort="10" velocity="5" lower="-3" upper="3"/></joint>
@@ -41,33 +38,6 @@ T = np.arange(1000) / 100
 WAVE, LATE = 0.8 * np.sin(T), 0.8 * np.sin(T - 0.01)
 WHEEL = 2.5 * T
 BEHIND = WHEEL - 0.02 * np.cos(T)
-
-
-def control_types():
-    types = get_typestore(Stores.ROS2_JAZZY)
-    point, multi = "trajectory_msgs/JointTrajectoryPoint", "trajectory_msgs/MultiDOFJoint"
-    text = "std_msgs/Header header\nstring[] joint_names\n"
-    text += "".join(f"{point} {name}\n" for name in PARTS) + "string[] multi_dof_joint_names\n"
-    text += "".join(f"{multi}TrajectoryPoint multi_dof_{name}\n" for name in PARTS)
-    types.register(get_types_from_msg(text + "float64 speed_scaling_factor\n", CONTROLLER_STATE))
-    numbers = ("reference", "feedback", "feedback_dot", "error", "error_dot", "time_step")
-    text = "string name\n" + "".join(f"float64 {name}\n" for name in (*numbers, "output"))
-    types.register(get_types_from_msg(text, DOF))
-    text = "std_msgs/Header header\ncontrol_msgs/SingleDOFState[] dof_states\n"
-    types.register(get_types_from_msg(text, DOFS))
-    return types
-
-
-STORE = control_types()
-
-
-def made(kind, *fields):
-    return bytes(STORE.serialize_cdr(STORE.types[kind](*fields), kind))
-
-
-def header(stamp_ns):
-    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(int(stamp_ns), S))
-    return STORE.types["std_msgs/msg/Header"](time, "")
 
 
 def states(positions, times=T):
