@@ -153,7 +153,9 @@ def test_a_clock_that_jumps_ahead_in_a_goal_stops_the_joints_where_they_are(harn
     joints.ahead = 3600.0
     status, code, text = client.result(handle)
     assert (status, code) == (ABORTED, INVALID_GOAL)
-    assert text.startswith("the clock of the states jumped ahead by 3600.")
+    line, _, jumped = text.removesuffix(" s").rpartition(" ")
+    assert line == "the clock of the states jumped ahead by"
+    assert float(jumped) == pytest.approx(3600.0, abs=1.0)
     joints.run_for(2.0)
     assert joints.position == pytest.approx(there, abs=0.5)
     assert max(map(abs, joints.velocity.values())) < 0.01
