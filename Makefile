@@ -28,19 +28,19 @@ $(BIN)/python:
 
 # setuptools warns of every editable install; it is meant to be one.
 $(VENV)/.installed: setup.py setup.cfg package.xml | $(BIN)/python
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros]"
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,bench]"
 	touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,test]"
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,bench,test]"
 	touch $@
 
 $(VENV)/.docs-installed: $(VENV)/.installed
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,docs]"
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,bench,docs]"
 	touch $@
 
-$(VENV)/.bench-installed: $(VENV)/.installed
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,bench]"
+$(VENV)/.peers-installed: $(VENV)/.installed
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,bench,peers]"
 	touch $@
 
 install: $(VENV)/.installed
@@ -103,7 +103,7 @@ quick: PROFILE := --hypothesis-profile quick
 quick: $(VENV)/.test-installed
 	$(PYTEST) $(SPREAD) -m "not slow and not repository" -q test/unit $(ARGS)
 
-bench: $(VENV)/.bench-installed
+bench: $(VENV)/.peers-installed
 	$(BIN)/python -m benchmarks $(ARGS)
 
 lint: repository

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from setuptools import find_packages, setup
 
-PACKAGE = "hpid_ros"
+PACKAGE = "hpid_ros"  # of ROS, and the Python package of what drives a robot
+BENCH = "hpid_bench"  # of what compares, identifies, certifies, tunes and shows
 
 INSTALL_REQUIRES = [
     "numpy>=1.26,<3",
@@ -23,11 +24,15 @@ INSTALL_REQUIRES = [
     "lz4>=4,<5",  # this and zstd: compressed bags; rosbags requires them too
     "backports.zstd>=1,<2; python_version < '3.14'",
     "rosbags>=0.11,<0.12",  # the MCAP writer is extended, and every minor version changes it
+    "PyYAML>=6.0,<7",
+]
+
+# The command hpid: what compares, identifies, certifies, tunes and shows. No node needs it.
+BENCH_REQUIRES = [
     "matplotlib>=3.8,<4",
     # Animations; matplotlib requires it, too. Ubuntu 24.04 has 10.2.
     "pillow>=10.2,<14",
     "rich>=13.7,<16",
-    "PyYAML>=6.0,<7",
     "argcomplete>=3.1,<4",  # hpid completion; Ubuntu 24.04 has 3.1.4
     "joblib>=1.4,<2",  # batches over processes
     # The report's markup, every text in it escaped, and exported C; Ubuntu 24.04 has 3.1.2.
@@ -37,6 +42,7 @@ INSTALL_REQUIRES = [
 NICEGUI = "nicegui>=3.4,<4"
 
 EXTRAS = {
+    "bench": BENCH_REQUIRES,
     # Never part of a plain install: a ROS installation brings its own rclpy, and these wheels
     # would shadow it. Exact, because they are one build of one distribution.
     "ros": [
@@ -45,12 +51,12 @@ EXTRAS = {
         "ros-jazzy-common-interfaces==5.3.6",
     ],
     # Studies on many machines; nothing else needs it. From 2025.4 on for Python 3.10 to 3.13.
-    "cluster": ["distributed>=2025.4,<2027"],
+    "cluster": [*BENCH_REQUIRES, "distributed>=2025.4,<2027"],
     # The live page: a page from Python with assets of its own (no network), a chart (ECharts), and
     # wheels for Python 3.10 to 3.13. It has 8.5 MB, Panel 30.
-    "live": [NICEGUI],
+    "live": [*BENCH_REQUIRES, NICEGUI],
     "docs": ["sphinx>=8.1,<9", "myst-parser>=4,<5", "furo>=2024.8"],  # make docs
-    "bench": [  # peers of the laws and of the readers
+    "peers": [  # of the laws and of the readers, for the benchmarks
         "simple-pid>=2.0,<3",
         "mcap>=1.2,<2",
         "mcap-ros2-support>=0.5.5,<1",
@@ -110,7 +116,7 @@ def folder(path, target=None):
 setup(
     name=PACKAGE,
     version="0.1.0",
-    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*", BENCH, f"{BENCH}.*"]),
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -119,11 +125,12 @@ setup(
         *folder("urdf"),
     ],
     package_data={
-        PACKAGE: [
+        PACKAGE: ["py.typed"],
+        BENCH: [
             *("py.typed", "report/assets/*", "report/templates/*"),
             *("tuning/templates/*.[ch]", "tuning/templates/ros2_control/*"),
             "live/page/assets/*",
-        ]
+        ],
     },
     python_requires=">=3.10",
     install_requires=["setuptools", *INSTALL_REQUIRES],
@@ -153,8 +160,8 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{name} = {PACKAGE}.nodes.{name}:main" for name in EXECUTABLES),
-            f"live_tuner = {PACKAGE}.live.live_tuner:main",
-            f"hpid = {PACKAGE}.cli.main:main",
+            f"live_tuner = {BENCH}.live.live_tuner:main",
+            f"hpid = {BENCH}.cli.main:main",
         ],
     },
 )

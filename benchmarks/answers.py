@@ -14,14 +14,14 @@ from functools import cache, partial
 from pathlib import Path
 
 from benchmarks.figures import Bound, Figure, Group, Measure, Source
+from hpid_bench.cli.options import DEFAULT_EXPERIMENT
+from hpid_bench.experiment.description import Experiment, load_experiment
+from hpid_bench.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.files import find_resource
-from hpid_ros.cli.options import DEFAULT_EXPERIMENT
-from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.simulation.settings import installed_engines
 
-_HPID = (sys.executable, "-m", "hpid_ros.cli.main")
+_HPID = (sys.executable, "-m", "hpid_bench.cli.main")
 _ROUNDS = 3
 _GRAPH_MOST = {"mujoco": 1.2, "pybullet": 1.6}
 

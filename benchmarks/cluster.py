@@ -24,10 +24,10 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from hpid_bench.experiment.batch import Runner, RunTask, run_batch
+from hpid_bench.experiment.cluster import Cluster, pack
+from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.files import find_resource
-from hpid_ros.experiment.batch import Runner, RunTask, run_batch
-from hpid_ros.experiment.cluster import Cluster, pack
-from hpid_ros.experiment.description import load_experiment
 
 
 @contextmanager

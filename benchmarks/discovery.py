@@ -37,9 +37,9 @@ from typing import NoReturn
 
 import rclpy
 
+from hpid_bench.experiment.processes import closed_environment, own_domain
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.base.processes import heed_interrupts
-from hpid_ros.experiment.processes import closed_environment, own_domain
 from hpid_ros.nodes import joint_controller
 from hpid_ros.nodes.core.process import end
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hpid_bench.experiment.description import Experiment
+from hpid_bench.experiment.graph_run import GraphNodes, GraphOptions
+from hpid_bench.experiment.processes import NodeGroup, NodeProcess
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.processes import raise_if_interrupted
-from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph_run import GraphNodes, GraphOptions
-from hpid_ros.experiment.processes import NodeGroup, NodeProcess
 
 KINDS = ("kill", "terminate", "freeze")
 """SIGKILL and a restart; SIGTERM and a restart; SIGSTOP and, some time after, SIGCONT."""

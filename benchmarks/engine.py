@@ -16,8 +16,8 @@ import mujoco
 from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.measuring import time_per_item
 from benchmarks.tracking import tracking
+from hpid_bench.experiment.description import Experiment, following_loops
 from hpid_ros.control import JointLoop
-from hpid_ros.experiment.description import Experiment, following_loops
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.engine import Sample, run_in_process
 from hpid_ros.simulation.mujoco import MujocoPhysics

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from benchmarks.disturbed_graph import SETTLE, DisturbedGraph, Fault
 from benchmarks.surroundings import loopback_environment
 from benchmarks.tracking import tracking
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
+from hpid_bench.experiment.description import Experiment, load_experiment
+from hpid_bench.experiment.processes import NodeGroup, own_domain
 from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.base.yaml_files import load_yaml
-from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
-from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.processes import NodeGroup, own_domain
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import JointSeries, RunSeries
 

@@ -20,9 +20,9 @@ from xml.etree import ElementTree
 
 import yaml
 
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
+from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.errors import HpidError
-from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
-from hpid_ros.experiment.description import load_experiment
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.robot.amendments import amended
 from hpid_ros.robot.description import (

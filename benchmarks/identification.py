@@ -24,8 +24,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
+from hpid_bench.experiment.description import Experiment, following_loops, load_experiment
+from hpid_bench.tuning.identify import JointIdentification, identify
+from hpid_bench.tuning.joint_record import JointRecord
+from hpid_bench.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
 from hpid_ros.base.files import find_resource
-from hpid_ros.experiment.description import Experiment, following_loops, load_experiment
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.motion.excitation import Design, JointBounds, Wish, plan
 from hpid_ros.robot.amendments import JointAmendment, amended
@@ -34,9 +37,6 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics, InverseDynamics
 from hpid_ros.simulation.engine import Recording, record_run
 from hpid_ros.simulation.world import World
-from hpid_ros.tuning.identify import JointIdentification, identify
-from hpid_ros.tuning.joint_record import JointRecord
-from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
 
 ROBOTS = ("paper", "iiwa", "panda") if find_spec("pybullet_data") else ("paper",)
 PERIOD = 1e-3  # [s]

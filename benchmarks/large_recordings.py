@@ -53,7 +53,7 @@ with AnyReader([Path(sys.argv[1])]) as reader:
         pass
 """
 _METRICS = """
-from hpid_ros.cli.main import main
+from hpid_bench.cli.main import main
 sys.exit(main(["metrics", *sys.argv[1:]]))
 """
 

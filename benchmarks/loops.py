@@ -13,11 +13,11 @@ from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.ours_graph import run_checked, run_ours, timing_of
 from benchmarks.processes import Scripts
 from benchmarks.tracking import tracking
+from hpid_bench.experiment.description import Experiment
+from hpid_bench.experiment.graph_run import PROCESSES, GraphOptions
+from hpid_bench.experiment.in_process import NoProgress
+from hpid_bench.experiment.processes import closed_environment, own_domain
 from hpid_ros.base.errors import RunError
-from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph_run import PROCESSES, GraphOptions
-from hpid_ros.experiment.in_process import NoProgress
-from hpid_ros.experiment.processes import closed_environment, own_domain
 from hpid_ros.simulation.settings import installed_engines
 
 LABEL = "hPID"

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.processes import Scripts
+from hpid_bench.experiment.processes import NodeGroup, closed_environment, own_domain
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.names import controller_name
-from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
 
 _WITHIN = 90.0  # [s] for nodes to find each other, beside the time that is measured
 _LOOP = {

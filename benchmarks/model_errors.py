@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from hpid_ros.base.files import share_folder
-from hpid_ros.control import LoopSettings
-from hpid_ros.experiment.batch import (
+from hpid_bench.experiment.batch import (
     LAST_ERROR,
     RunTask,
     WorldKeeper,
     simulated,
 )
-from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_bench.experiment.description import Experiment, load_experiment
+from hpid_ros.base.files import share_folder
+from hpid_ros.control import LoopSettings
 from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.robot.description import RobotDescription
 

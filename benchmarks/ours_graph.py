@@ -11,10 +11,10 @@ from typing import Any
 
 from rosbags.rosbag2 import Reader
 
+from hpid_bench.experiment.description import Experiment
+from hpid_bench.experiment.graph_run import GraphOptions, run_on_graph
+from hpid_bench.experiment.in_process import Progress, RunReport
 from hpid_ros.base.errors import RunError
-from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph
-from hpid_ros.experiment.in_process import Progress, RunReport
 
 
 class Clock:

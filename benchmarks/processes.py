@@ -14,10 +14,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from hpid_bench.experiment.forking import Beginning
+from hpid_bench.experiment.processes import end_all
 from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.base.processes import heed_interrupts, raise_if_interrupted, uninterrupted
-from hpid_ros.experiment.forking import Beginning
-from hpid_ros.experiment.processes import end_all
 
 ROOT = Path(__file__).resolve().parents[1]
 

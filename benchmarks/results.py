@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.figures import Middle, Outcome
-from hpid_ros.experiment.result_folder import versions
+from hpid_bench.experiment.result_folder import versions
 
 _LIBRARIES = {"rclpy": ("ros-jazzy-rclpy", "rclpy"), "simple_pid": ("simple-pid",)}
 _DIGITS = 6

@@ -33,11 +33,11 @@ from benchmarks.figures import Measure, Middle, middle
 from benchmarks.measuring import Tell, measure_in_turn, time_per_item
 from benchmarks.ours_graph import run_ours
 from benchmarks.processes import ROOT
+from hpid_bench.experiment.description import Experiment, following_loops, load_experiment
+from hpid_bench.experiment.graph_run import GraphOptions
+from hpid_bench.report.figures import RUN_STYLES
+from hpid_bench.report.plots import DOTS_PER_INCH, MARKERS, figure_style
 from hpid_ros.base.processes import heed_interrupts
-from hpid_ros.experiment.description import Experiment, following_loops, load_experiment
-from hpid_ros.experiment.graph_run import GraphOptions
-from hpid_ros.report.figures import RUN_STYLES
-from hpid_ros.report.plots import DOTS_PER_INCH, MARKERS, figure_style
 from hpid_ros.simulation.engine import Sample, run_in_process
 from hpid_ros.simulation.world import World
 

@@ -26,9 +26,9 @@ from benchmarks.disturbed_graph import DisturbedGraph, Fault
 from benchmarks.episodes import LABEL, is_planned, sines
 from benchmarks.processes import FAILED, Scripts, exit_code
 from benchmarks.surroundings import loopback_environment
+from hpid_bench.experiment.processes import NodeGroup, own_domain
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.processes import raise_if_interrupted
-from hpid_ros.experiment.processes import NodeGroup, own_domain
 
 GROWTH_AT_MOST = 1.0  # [MiB] of any process after the warm-up
 RETUNES = 5.0  # sets of parameters in a second

@@ -30,14 +30,14 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from benchmarks.processes import exit_code
-from hpid_ros.base.errors import RunError, SettingError, unknown_name
-from hpid_ros.experiment.processes import (
+from hpid_bench.experiment.processes import (
     NodeGroup,
     NodeProcess,
     Process,
     closed_environment,
     own_domain,
 )
+from hpid_ros.base.errors import RunError, SettingError, unknown_name
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hpid_bench.experiment.processes import closed_environment
 from hpid_ros.base.names import PROFILE_FILES
-from hpid_ros.experiment.processes import closed_environment
 
 LOOPBACK = Path(__file__).with_name("loopback.xml")
 

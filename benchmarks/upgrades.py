@@ -25,11 +25,19 @@ import numpy as np
 import yaml
 
 from benchmarks import strange_plants
+from hpid_bench.experiment.description import Experiment, load_experiment
+from hpid_bench.experiment.in_process import NoProgress, controllers_text, run_without_ros
+from hpid_bench.tuning.upgrade import GOALS
+from hpid_bench.tuning.upgrade_from_bag import BagUpgrade, upgrade_from_bag
+from hpid_bench.tuning.upgrade_prediction import (
+    HOLDS_WITHIN,
+    Prediction,
+    Verification,
+    verify,
+)
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.files import find_resource
 from hpid_ros.control import JointLoop, LoopSettings
-from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.in_process import NoProgress, controllers_text, run_without_ros
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
@@ -40,14 +48,6 @@ from hpid_ros.motion.generators import minimum_jerk, step
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot, RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.tuning.upgrade import GOALS
-from hpid_ros.tuning.upgrade_from_bag import BagUpgrade, upgrade_from_bag
-from hpid_ros.tuning.upgrade_prediction import (
-    HOLDS_WITHIN,
-    Prediction,
-    Verification,
-    verify,
-)
 
 ROBOTS = ("paper", "iiwa", "panda") if find_spec("pybullet_data") else ("paper",)
 STRANGE = "strange"

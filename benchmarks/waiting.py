@@ -10,11 +10,11 @@ from pathlib import Path
 from benchmarks.figures import Bound, Figure, Group, Source, middle
 from benchmarks.processes import Scripts
 from benchmarks.tracking import tracking
+from hpid_bench.experiment.in_process import controllers_document, write_document
+from hpid_bench.experiment.processes import NodeGroup, NodeProcess, closed_environment, own_domain
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.processes import raise_if_interrupted
-from hpid_ros.experiment.in_process import controllers_document, write_document
-from hpid_ros.experiment.processes import NodeGroup, NodeProcess, closed_environment, own_domain
 
 LABEL = "hPID"
 

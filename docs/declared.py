@@ -9,9 +9,9 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+from hpid_bench.cli.main import COMMANDS
 from hpid_ros.base.records import ParameterSpec
 from hpid_ros.base.schema import table
-from hpid_ros.cli.main import COMMANDS
 from hpid_ros.control.settings import LOOP_PARAMETERS, MODEL_PARAMETERS
 from hpid_ros.motion.references import BrickTask, Oscillations, PathSection, Waypoints
 from hpid_ros.nodes.parts.goals import FIXED_PARAMETERS, GOAL_PARAMETERS, joint_parameters

@@ -26,10 +26,10 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.in_process import bridge_name, recorded_topics, write_run_files
+from hpid_bench.experiment.processes import parameters
 from hpid_ros.base.names import controller_name
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import bridge_name, recorded_topics, write_run_files
-from hpid_ros.experiment.processes import parameters
 from hpid_ros.nodes.core.launching import failures
 from hpid_ros.nodes.core.process import LAUNCH
 from hpid_ros.robot.description import RobotDescription

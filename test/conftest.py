@@ -18,7 +18,7 @@ from harness.graph import Harness
 from hypothesis import settings
 
 from benchmarks.surroundings import loopback_environment
-from hpid_ros.experiment.processes import NodeGroup, own_domain
+from hpid_bench.experiment.processes import NodeGroup, own_domain
 
 # A busy machine is not a failure. Every run draws other examples, so that many runs see many.
 settings.register_profile("suite", deadline=None, max_examples=25)

@@ -26,18 +26,8 @@ from matplotlib.lines import Line2D
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hpid_ros.metrics.quantities import (  # noqa: E402
-    EFFORT_L2,
-    ERROR_L2,
-    IAVC,
-    ITAE,
-    IVC,
-    OVERSHOOT,
-    Quantity,
-    find_quantities,
-)
-from hpid_ros.report.figures import INK, RUN_STYLES, RunStyle  # noqa: E402
-from hpid_ros.report.plots import (  # noqa: E402
+from hpid_bench.report.figures import INK, RUN_STYLES, RunStyle  # noqa: E402
+from hpid_bench.report.plots import (  # noqa: E402
     DOTS_PER_INCH,
     MARKERS,
     WIDTH_IN,
@@ -47,6 +37,16 @@ from hpid_ros.report.plots import (  # noqa: E402
     front_figure,
     laid_out,
     ratio_ticks,
+)
+from hpid_ros.metrics.quantities import (  # noqa: E402
+    EFFORT_L2,
+    ERROR_L2,
+    IAVC,
+    ITAE,
+    IVC,
+    OVERSHOOT,
+    Quantity,
+    find_quantities,
 )
 
 BLOCK = re.compile(r"<!-- begin (?P<name>[^>]*?) -->\n(?P<body>.*?)<!-- end (?P=name) -->\n", re.S)

@@ -18,10 +18,10 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 from certified_against_simulated import SimulatedLoop  # noqa: E402
 
+from hpid_bench.report.figures import RUN_STYLES  # noqa: E402
+from hpid_bench.report.plots import figure_style  # noqa: E402
 from hpid_ros.control import Gains, WeightedNorm  # noqa: E402
 from hpid_ros.control.settings import NormSettings  # noqa: E402
-from hpid_ros.report.figures import RUN_STYLES  # noqa: E402
-from hpid_ros.report.plots import figure_style  # noqa: E402
 from hpid_ros.stability.certificate_search import certified_degree_interval  # noqa: E402
 from hpid_ros.stability.closed_loop import closed_loop_field  # noqa: E402
 

@@ -13,8 +13,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 
+from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.names import controller_name
-from hpid_ros.experiment.description import load_experiment
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 PAPER = CHECKOUT / "config" / "experiments" / "paper.yaml"

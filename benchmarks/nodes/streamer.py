@@ -17,10 +17,10 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from hpid_bench.experiment.processes import NodeGroup, closed_environment, own_domain
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_trajectory
 from hpid_ros.motion.joint_trajectory import Column

@@ -11,9 +11,9 @@ from tempfile import TemporaryDirectory
 
 from write_bag import write_bag
 
+from hpid_bench.report.page import render_report
 from hpid_ros.metrics import measure_all, summary
 from hpid_ros.metrics.quantities import IAVC, ITAE, IVC
-from hpid_ros.report.page import render_report
 
 
 def main(bags, page=Path("report.html")):

@@ -1,50 +1,13 @@
-"""Output to a terminal: text, in which nothing that came from outside controls it."""
+"""Output of a command: text, in which nothing that came from outside controls the terminal."""
 
 from __future__ import annotations
 
-import io
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import IO, Any, TextIO, cast
 
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
-from rich.text import Text
-
 from hpid_ros.base.text import shown_lines
-
-
-class TextConsole(Console):
-    """A console on which every text is text: no markup, no emoji codes, no escape sequences.
-
-    Styles are given with the texts. What a foreign name would do is shown instead.
-    """
-
-    def __init__(self, **options: Any) -> None:
-        if "file" not in options:
-            options["file"] = _unguarded(sys.stderr if options.get("stderr") else sys.stdout)
-        super().__init__(**({"markup": False, "emoji": False, "highlight": False} | options))
-
-    def render_str(self, text: str, *args: Any, **options: Any) -> Text:
-        return super().render_str(shown_lines(text), *args, **options)
-
-    def render(
-        self, renderable: RenderableType, options: ConsoleOptions | None = None
-    ) -> Iterator[Segment]:
-        if isinstance(renderable, Text):
-            plain = shown_lines(renderable.plain)
-            if plain != renderable.plain:
-                renderable = Text(plain, style=renderable.style, justify=renderable.justify)
-        yield from super().render(renderable, options)
-
-    def on_broken_pipe(self) -> None:
-        raise  # what is being handled: rich would end the process with code 1
-
-
-def plain_console(width: int) -> TextConsole:
-    """Return a console for texts: Unicode without colours, whatever the terminal is."""
-    return TextConsole(file=io.StringIO(), width=width, color_system=None, legacy_windows=False)
 
 
 class _Guard:
@@ -63,10 +26,11 @@ class _Guard:
 @contextmanager
 def guarded_output() -> Iterator[None]:
     """Let nothing but text be printed while the block runs."""
-    out, err = (cast("TextIO", _Guard(_unguarded(each))) for each in (sys.stdout, sys.stderr))
+    out, err = (cast("TextIO", _Guard(unguarded(each))) for each in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
         yield
 
 
-def _unguarded(stream: IO[str]) -> TextIO:
+def unguarded(stream: IO[str]) -> TextIO:
+    """Return the stream that a guard writes to."""
     return stream.stream if isinstance(stream, _Guard) else cast("TextIO", stream)

@@ -7,7 +7,7 @@ Python raises ``KeyboardInterrupt`` wherever it happens to be, and swallows it i
 cannot raise, for instance between a fork and what follows it. What takes long therefore asks
 here as well.
 
-But for Pinocchio and joblib rosdep has no package of them, so ``package.xml`` names no other.
+Of the robot's side rosdep knows Pinocchio alone; what the bench needs beyond it rosdep knows, too.
 Whoever imports one does so where it is needed; the shells put :func:`optional_libraries` around
 that.
 """
@@ -85,6 +85,10 @@ OPTIONAL = {
     **dict.fromkeys(
         ("nicegui", "fastapi", "starlette", "uvicorn"),
         Library("the live page", "'hpid_ros[live]'"),
+    ),
+    **dict.fromkeys(
+        ("rich", "matplotlib", "jinja2", "PIL", "argcomplete"),
+        Library("this command of the bench", "'hpid_ros[bench]'"),
     ),
     "joblib": Library("more than one process at a time (--jobs 1 needs none)", "joblib"),
     "rclpy": Library("a running graph", "'hpid_ros[ros]'"),

@@ -18,12 +18,12 @@ from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure, measure_all
 from hpid_ros.metrics.quantities import ANGLE_UNITS, Quantity, find_quantities
 from hpid_ros.metrics.results import RunIndices, in_units
+from hpid_ros.metrics.texts import FORMATS
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import LATCHED, steady_timer
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import StatusParameters, StatusPipe
-from hpid_ros.report.export import FORMATS
 from hpid_ros.robot.description import RobotDescription, robot_source
 
 _FINISHED = "metadata.yaml"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hpid_ros.experiment.processes import closed_environment
+from hpid_bench.experiment.processes import closed_environment
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import sys
 import pytest
 from harness.places import ROOT
 
-from hpid_ros.experiment.processes import CLOSED_MODE, NodeGroup, module_of, require_no_sockets
+from hpid_bench.experiment.processes import CLOSED_MODE, NodeGroup, module_of, require_no_sockets
 
 INTRUDER = ROOT / "test" / "harness" / "intruder.py"
 NOBODY = 65534

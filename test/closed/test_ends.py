@@ -11,13 +11,13 @@ from itertools import count
 import pytest
 from harness.studies import wait_until
 
-from hpid_ros.base.files import share_folder
-from hpid_ros.experiment.processes import (
+from hpid_bench.experiment.processes import (
     SHARED_MEMORY,
     NodeGroup,
     closed_environment,
     own_domain,
 )
+from hpid_ros.base.files import share_folder
 
 WITHIN = 60.0  # [s]
 CONTROLLER = ("joint_controller", "joint:=elbow", "wait_for_command_subscribers:=0")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from hpid_bench.experiment.processes import SHARED_MEMORY, clear_dead, own_domain
 from hpid_ros.base.errors import RunError
-from hpid_ros.experiment.processes import SHARED_MEMORY, clear_dead, own_domain
 
 SEGMENT, PORT = "fastrtps_0123456789abcdef", "fastrtps_port7651"
 
@@ -115,8 +115,8 @@ def test_a_living_node_keeps_its_shared_memory_and_a_killed_one_does_not(harness
 def test_a_domain_in_which_somebody_listens_is_nobody_elses(tmp_path, monkeypatch):
     """A robot's graph has reserved none. No other test has one of these two."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("hpid_ros.experiment.processes._DOMAINS", (222, 223))
-    monkeypatch.setattr("hpid_ros.experiment.processes.SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr("hpid_bench.experiment.processes._DOMAINS", (222, 223))
+    monkeypatch.setattr("hpid_bench.experiment.processes.SHARED_MEMORY", tmp_path)
     with own_domain() as first, own_domain() as second:
         assert (first, second) == (222, 223)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:

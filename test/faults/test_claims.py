@@ -14,8 +14,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from harness.graph import Told, change, ros_arguments, state
 from harness.studies import wait_until
 
+from hpid_bench.experiment.processes import NodeGroup, closed_environment, own_domain
 from hpid_ros.base.names import claim_topic
-from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
 from hpid_ros.nodes.core.middleware import LATCHED
 from hpid_ros.nodes.parts.claims import LEASE, Claim, ClaimState, to_message
 

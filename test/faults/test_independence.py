@@ -11,8 +11,8 @@ from benchmarks.episodes import OTHERS_AT_MOST, run_episode, sines, undisturbed
 from benchmarks.faults import main as faults_command
 from benchmarks.soak import GROWTH_AT_MOST, private_bytes, soak, warm_up_of
 from benchmarks.soak import main as soak_command
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.forking import ForkServer
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.forking import ForkServer
 
 pytestmark = pytest.mark.alone
 

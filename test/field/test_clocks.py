@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.experiment.in_process import write_document
+from hpid_bench.experiment.in_process import write_document
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 

@@ -7,9 +7,9 @@ import pytest
 from harness.fork_server import run_node
 from harness.graph import Told, ros_arguments
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import HpidError, RobotDescriptionError
 from hpid_ros.base.yaml_text import dump_yaml
-from hpid_ros.cli.main import main
 from hpid_ros.messages.run import read_run
 from hpid_ros.robot.description import RobotDescription, robot_limits
 

@@ -15,8 +15,8 @@ from rosbags.rosbag1 import Writer as RosbagWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import BagError
-from hpid_ros.cli.main import main
 from hpid_ros.messages.columns import CONTROLLER_STATE
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection

@@ -28,7 +28,7 @@ def test_a_comparison_says_that_shared_memory_is_full(experiment_file, tmp_path,
     except FileNotFoundError:
         pytest.skip("there is no unshare")
     file, result = experiment_file(duration=0.1), tmp_path / "result"
-    hpid = (sys.executable, "-m", "hpid_ros.cli.main", "compare", file, "--output", result)
+    hpid = (sys.executable, "-m", "hpid_bench.cli.main", "compare", file, "--output", result)
     run = with_shared_memory(size, hpid)
     (told,) = (each for each in run.stderr.splitlines() if each.startswith("hpid: "))
     assert run.returncode == 1

@@ -15,13 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rcl_interfaces.srv import GetParameters
 
+from hpid_bench.experiment.compare import compare
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.graph_run import GraphOptions
+from hpid_bench.experiment.in_process import NoProgress
+from hpid_bench.experiment.processes import parameters
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.yaml_text import dump_yaml, inline_yaml
-from hpid_ros.experiment.compare import compare
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph_run import GraphOptions
-from hpid_ros.experiment.in_process import NoProgress
-from hpid_ros.experiment.processes import parameters
 from hpid_ros.messages.run import read_run
 
 JOINTS = ("left-arm 1", "1st", "a.b", "a_b", "Größe", "y")

@@ -38,8 +38,8 @@ from harness.recordings import (
 )
 from rosbags.typesys import get_types_from_msg
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import SettingError
-from hpid_ros.cli.main import main
 from hpid_ros.messages.senders import Part, find_senders
 from hpid_ros.metrics import Measuring, measure
 from hpid_ros.metrics.measure import compare, measure_all
@@ -68,10 +68,10 @@ def test_what_a_controller_reports_counts_and_not_the_one_goal_that_was_caught(t
         "/hand/controller_state reports another reference than /hand/joint_trajectory" in line
         for line in found.defects
     )
-    for style in ("table", "csv", "latex", "json"):
+    for style in ("table", "csv", "json"):
         assert main(["metrics", str(bag), "--format", style]) == 0
         text = capsys.readouterr().out
-        assert "hand/controller" in text.replace("\\", ""), style
+        assert "hand/controller" in text, style
     assert json.loads(text)["runs"]["bag"]["against"] == found.run.against
     page = tmp_path / "page.html"
     assert main(["metrics", str(bag), "--report", str(page)]) == 0

@@ -12,9 +12,9 @@ from harness.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.base.records import Section
-from hpid_ros.cli.main import main
 from hpid_ros.robot import mending
 from hpid_ros.robot.amendments import amended
 from hpid_ros.robot.description import RobotDescription

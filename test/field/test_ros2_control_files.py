@@ -6,8 +6,8 @@ import pytest
 import yaml
 from rcl_interfaces.srv import GetParameters
 
-from hpid_ros.cli.main import main
-from hpid_ros.cli.options import parameter_file
+from hpid_bench.cli.main import main
+from hpid_bench.cli.options import parameter_file
 
 CONTROLLERS = """
 controller_manager:

@@ -8,7 +8,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from hpid_ros.experiment.in_process import write_document
+from hpid_bench.experiment.in_process import write_document
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS
 

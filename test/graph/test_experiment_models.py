@@ -8,10 +8,10 @@ import pytest
 import rclpy
 import yaml
 
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.in_process import write_document, write_run_files
 from hpid_ros.base.errors import ExperimentError, HpidError
-from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import write_document, write_run_files
 from hpid_ros.nodes.parts.bridge import read_world_file
 from hpid_ros.simulation.drives import Motor, Pwm
 from hpid_ros.simulation.settings import Disturbances, Homing, PayloadChange, WrenchPulse

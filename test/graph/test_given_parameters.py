@@ -19,8 +19,8 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from std_msgs.msg import Float64MultiArray
 
+from hpid_bench.experiment.processes import module_of
 from hpid_ros.base.files import share_folder
-from hpid_ros.experiment.processes import module_of
 from hpid_ros.nodes.core.process import LAUNCH
 
 MS = 1_000_000
@@ -254,7 +254,7 @@ class Robot:
     """One of two robots: a bridge, its controllers and its reference in a namespace."""
 
     def __init__(self, harness, name, experiment, folder):
-        from hpid_ros.experiment.in_process import write_run_files
+        from hpid_bench.experiment.in_process import write_run_files
 
         folder.mkdir()
         write_run_files(folder, experiment, experiment.controllers["PID"])
@@ -297,7 +297,7 @@ class Robot:
 def test_two_robots_side_by_side_are_two_robots(harness, experiment_file, tmp_path):
     from nav_msgs.msg import Odometry
 
-    from hpid_ros.experiment.description import load_experiment
+    from hpid_bench.experiment.description import load_experiment
 
     panda = yaml.safe_load((share_folder() / "config/experiments/panda.yaml").read_text())
     panda |= {"duration": 0.5, "control": {"rate": 1000, "answer_timeout": 120.0}}

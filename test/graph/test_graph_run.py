@@ -16,14 +16,14 @@ from harness.graph import ros_arguments
 from harness.studies import children_of, is_alive, wait_until
 from mcap_ros2.reader import read_ros2_messages
 
+from hpid_bench.experiment import graph_run
+from hpid_bench.experiment.compare import compare
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.forking import Beginning, ForkServer
+from hpid_bench.experiment.graph_run import GraphOptions, run_on_graph
+from hpid_bench.experiment.in_process import NoProgress
+from hpid_bench.experiment.processes import NodeGroup, network_sockets, require_no_sockets
 from hpid_ros.base.errors import RunError
-from hpid_ros.experiment import graph_run
-from hpid_ros.experiment.compare import compare
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.forking import Beginning, ForkServer
-from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph
-from hpid_ros.experiment.in_process import NoProgress
-from hpid_ros.experiment.processes import NodeGroup, network_sockets, require_no_sockets
 from hpid_ros.messages.run import read_run
 
 
@@ -203,7 +203,7 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
     experiment_file, tmp_path, number
 ):
     folder = tmp_path / "result"
-    command = [sys.executable, "-m", "hpid_ros.cli.main", "compare", "--separate", "-o", folder]
+    command = [sys.executable, "-m", "hpid_bench.cli.main", "compare", "--separate", "-o", folder]
     hpid = subprocess.Popen(
         [*command, experiment_file(duration=100.0)],
         stdout=subprocess.DEVNULL,

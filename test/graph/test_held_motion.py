@@ -15,17 +15,17 @@ import pytest
 from harness.graph import change, state
 from harness.turntable import INERTIA, positions, start_turntable, wait_for_rest
 
+from hpid_bench.live.exciter import DeadMan
+from hpid_bench.live.graph_client import running_graph
+from hpid_bench.live.motion import HELD_WITHIN, Button, HeldMotion, bounds_of, chosen
 from hpid_ros.base.errors import RunError
-from hpid_ros.live.exciter import DeadMan
-from hpid_ros.live.graph_client import running_graph
-from hpid_ros.live.motion import HELD_WITHIN, Button, HeldMotion, bounds_of, chosen
 from hpid_ros.motion.excitation import Design, Wish, plan
 
 NODE = "/turn_controller"
 
 PARENT = """
 import pickle, sys, time
-from hpid_ros.live.motion import HeldMotion
+from hpid_bench.live.motion import HeldMotion
 motion = HeldMotion(*pickle.load(open(sys.argv[1], "rb")))
 while motion.stage != "ended":
     motion.press()

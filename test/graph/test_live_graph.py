@@ -21,11 +21,11 @@ from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
+from hpid_bench.live import graph_client
+from hpid_bench.live.controllers import Answer, Samples
+from hpid_bench.live.graph_client import GraphClient, parameter
+from hpid_bench.live.streams import controller_topics
 from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.live import graph_client
-from hpid_ros.live.controllers import Answer, Samples
-from hpid_ros.live.graph_client import GraphClient, parameter
-from hpid_ros.live.streams import controller_topics
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import OFFERED

@@ -11,7 +11,7 @@ from harness.graph import ros_arguments
 from harness.turntable import GAINS, INERTIA, positions, start_turntable, wait_for_rest
 from rcl_interfaces.srv import GetParameters
 
-from hpid_ros.cli.main import main
+from hpid_bench.cli.main import main
 
 expect = pytest.importorskip("playwright.sync_api", reason="pip install playwright").expect
 expect.set_options(timeout=60_000)

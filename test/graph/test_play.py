@@ -10,9 +10,9 @@ from urllib.request import HTTPCookieProcessor, build_opener, urlopen
 
 import pytest
 
-from hpid_ros.base.console import TextConsole
-from hpid_ros.cli.commands import play as play_command
-from hpid_ros.experiment.description import load_experiment
+from hpid_bench.cli.commands import play as play_command
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.report.console import TextConsole
 
 EXPERIMENT = "extends: config/experiments/paper.yaml\nname: mine\nsimulation: {engine: mujoco}\n"
 ENDED_WITHIN = 60.0
@@ -27,7 +27,7 @@ def play(harness, tmp_path):
 
     def begin(*options):
         process = subprocess.Popen(
-            [sys.executable, "-m", "hpid_ros.cli.main", "play", str(file), *options],
+            [sys.executable, "-m", "hpid_bench.cli.main", "play", str(file), *options],
             env=harness.environment | {"DISPLAY": ""},  # that is none
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

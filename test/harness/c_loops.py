@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from hpid_ros.tuning.export import FIELDS, c_files, c_name
+from hpid_bench.tuning.export import FIELDS, c_files, c_name
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wshadow")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hpid_ros.experiment.study_plan import is_robot_installed
+from hpid_bench.experiment.study_plan import is_robot_installed
 from hpid_ros.simulation.settings import ENGINES, default_engine, installed_engines
 
 INSTALLED = installed_engines()

@@ -9,10 +9,10 @@ import signal
 import subprocess
 import sys
 
-from hpid_ros.experiment.forking import Beginning, ForkServer
-from hpid_ros.experiment.processes import module_of
+from hpid_bench.experiment.forking import Beginning, ForkServer
+from hpid_bench.experiment.processes import module_of
 
-_NODES = ("hpid_ros.nodes.", "hpid_ros.live.")
+_NODES = ("hpid_ros.nodes.", "hpid_bench.live.")
 
 
 class ForkedPopen(subprocess.Popen):

@@ -16,8 +16,8 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
+from hpid_bench.experiment.processes import NodeGroup
 from hpid_ros.base.errors import MessageError
-from hpid_ros.experiment.processes import NodeGroup
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.core.middleware import OFFERED, destroy_when_quiet
 

@@ -5,9 +5,9 @@ from math import copysign, sin
 
 import numpy as np
 
+from hpid_bench.tuning.recorded_pid import recorded_motion
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.messages.series import JointSeries
-from hpid_ros.tuning.recorded_pid import recorded_motion
 
 PERIOD = 1e-3  # [s]
 _STEPS = 5

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hpid_bench.tuning.joint_record import JointRecord
 from hpid_ros.control import JointLoop
 from hpid_ros.messages.series import complete_run
 from hpid_ros.motion import Column, Knot
-from hpid_ros.tuning.joint_record import JointRecord
 
 FREQUENCIES = np.array([0.13, 0.37, 0.71, 1.19, 1.93])  # [Hz]
 

@@ -10,7 +10,7 @@ from harness.places import ROOT
 _SERVE = """
 import sys, time
 from harness.simulated_graph import SimulatedGraph, arm, loop_settings
-from hpid_ros.live.page.server import PageServer
+from hpid_bench.live.page.server import PageServer
 
 {program}
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from harness.loops import loop_settings
+from hpid_bench.experiment.in_process import controllers_text
+from hpid_bench.tuning.export import GivenLoop, package_files
 from hpid_ros.control.settings import LARGEST_MOTION, PARAMETERS
-from hpid_ros.experiment.in_process import controllers_text
 from hpid_ros.stability.gain_boxes import gain_ranges
-from hpid_ros.tuning.export import GivenLoop, package_files
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-Wshadow")

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from hpid_bench.live.controllers import Answer, Change, Controller, Health, RunningGraph, Samples
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.live.controllers import Answer, Change, Controller, Health, RunningGraph, Samples
 from hpid_ros.robot.description import UNLIMITED
 
 PERIOD_NS = 1_000_000
@@ -78,7 +78,7 @@ def loop_settings(joint: str, inertia: float = 0.5, **more: object) -> LoopSetti
 
 
 class SimulatedGraph:
-    """A :class:`~hpid_ros.live.graph_client.GraphClient` of such joints, by the wall clock."""
+    """A :class:`~hpid_bench.live.graph_client.GraphClient` of such joints, by the wall clock."""
 
     def __init__(self, joints: Mapping[str, LoopSettings]) -> None:
         self.joints = {node: SimulatedJoint(each) for node, each in joints.items()}

@@ -7,8 +7,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.main import main
+from hpid_bench.cli.commands import DONE
+from hpid_bench.cli.main import main
 
 ARM = ["arm_joint_1", "arm_joint_2", "arm_joint_3"]
 

@@ -8,11 +8,11 @@ import pytest
 from harness.experiments import write_experiment
 from harness.studies import ARM, study
 
-from hpid_ros.cli.commands import BAD_INPUT, DONE
-from hpid_ros.cli.main import main
-from hpid_ros.experiment import batch
-from hpid_ros.experiment.batch import run_batch, simulated
-from hpid_ros.experiment.description import load_experiment
+from hpid_bench.cli.commands import BAD_INPUT, DONE
+from hpid_bench.cli.main import main
+from hpid_bench.experiment import batch
+from hpid_bench.experiment.batch import run_batch, simulated
+from hpid_bench.experiment.description import load_experiment
 
 
 @pytest.fixture

@@ -16,10 +16,10 @@ from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from benchmarks.bounds import CASES, costs
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.files import LARGEST_JSON
 from hpid_ros.base.yaml_files import MOST_LEVELS, load_yaml
-from hpid_ros.cli.main import main
 from hpid_ros.messages.mcap_file import LIMIT_VARIABLE, zstd_library
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.storage import PARAMETERS
@@ -115,7 +115,7 @@ def test_the_default_limit_bounds_the_memory_of_a_process(tmp_path, name):
         path.write_bytes(packed)
     limits = 3072 * MIB, 3072 * MIB
     run = subprocess.run(
-        [sys.executable, "-m", "hpid_ros.cli.main", "metrics", str(path)],
+        [sys.executable, "-m", "hpid_bench.cli.main", "metrics", str(path)],
         **{"capture_output": True, "text": True, "timeout": 60, "check": False},
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limits),
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},

@@ -10,16 +10,16 @@ import pytest
 import yaml
 from harness.experiments import changed, write_experiment
 
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.compare import compute, save, save_numbers
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.graph_run import run_on_graph
+from hpid_bench.experiment.in_process import NoProgress, RunReport, run_without_ros, write_document
+from hpid_bench.experiment.result_folder import ResultFolder
 from hpid_ros.base.errors import BagError, ExperimentError
 from hpid_ros.base.files import share_folder
 from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_yaml
-from hpid_ros.cli.main import main
-from hpid_ros.experiment.compare import compute, save, save_numbers
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph_run import run_on_graph
-from hpid_ros.experiment.in_process import NoProgress, RunReport, run_without_ros, write_document
-from hpid_ros.experiment.result_folder import ResultFolder
 from hpid_ros.messages.messages import BagMessages, PoseColumns
 from hpid_ros.messages.reports import POSE, POSES
 from hpid_ros.messages.series import JointSeries, RunSeries

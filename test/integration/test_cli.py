@@ -11,11 +11,11 @@ import pytest
 from harness.engines import needs_bullet
 from harness.studies import compared
 
-from hpid_ros.base.console import TextConsole
-from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
-from hpid_ros.cli.main import COMMANDS, main
-from hpid_ros.cli.options import progress
-from hpid_ros.experiment.description import load_experiment
+from hpid_bench.cli.commands import BAD_INPUT, DONE, UNREAD
+from hpid_bench.cli.main import COMMANDS, main
+from hpid_bench.cli.options import progress
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.report.console import TextConsole
 from hpid_ros.simulation.settings import ENGINES
 
 
@@ -137,7 +137,7 @@ def test_usage_errors_end_with_two():
 )
 def test_a_reader_that_has_read_enough_is_no_error(arguments, read):
     command = subprocess.Popen(
-        [sys.executable, "-m", "hpid_ros.cli.main", *arguments],
+        [sys.executable, "-m", "hpid_bench.cli.main", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
@@ -160,7 +160,7 @@ def test_a_reader_that_has_read_enough_costs_no_result(experiment_file, tmp_path
     reader, writer = os.pipe()
     os.close(reader)
     ended = subprocess.run(
-        [sys.executable, "-m", "hpid_ros.cli.main", *command],
+        [sys.executable, "-m", "hpid_bench.cli.main", *command],
         stdout=writer,
         stderr=subprocess.PIPE,
     )
@@ -172,7 +172,13 @@ def test_a_reader_that_has_read_enough_costs_no_result(experiment_file, tmp_path
 
 def test_a_full_disk_behind_the_output_is_one_line(monkeypatch):
     monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
-    command = [sys.executable, "-m", "hpid_ros.cli.main", "robot", "urdf/mobile_manipulator.urdf"]
+    command = [
+        sys.executable,
+        "-m",
+        "hpid_bench.cli.main",
+        "robot",
+        "urdf/mobile_manipulator.urdf",
+    ]
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     said = "hpid: No space left on device\n"
@@ -223,7 +229,7 @@ def test_a_shell_completes_commands_and_options(capsys):
             **{"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))},
             "_ARGCOMPLETE_STDOUT_FILENAME": "/dev/stdout",
         }
-        command = [sys.executable, "-m", "hpid_ros.cli.main"]
+        command = [sys.executable, "-m", "hpid_bench.cli.main"]
         return subprocess.run(command, env=environment, capture_output=True, text=True).stdout
 
     assert {"check-gains", "compare", "completion"} == set(completed("hpid c").split())

@@ -19,13 +19,13 @@ import pytest
 from harness.engines import shipped
 from harness.studies import study, wait_until
 
+from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_bench.experiment import cluster as client
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, run_batch, simulate
+from hpid_bench.experiment.cluster import Cluster, differences, pack, traits, unpack, work
+from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.files import share_folder
-from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
-from hpid_ros.experiment import cluster as client
-from hpid_ros.experiment.batch import RunTask, WorldKeeper, run_batch, simulate
-from hpid_ros.experiment.cluster import Cluster, differences, pack, traits, unpack, work
-from hpid_ros.experiment.description import load_experiment
 
 STEP = share_folder() / "config" / "experiments" / "step.yaml"
 WRITTEN = ("runs.csv", "runs.jsonl", "study.json", "tables.txt")
@@ -137,10 +137,11 @@ def leave_early(address, experiment):
 def test_a_worker_with_other_sources_is_refused_by_name(cluster, studied, tmp_path, capsys):
     other = tmp_path / "other"
     other.mkdir()
-    (other / "hpid_ros").symlink_to(Path(sys.modules["hpid_ros"].__file__).parent)
+    for package in ("hpid_ros", "hpid_bench"):
+        (other / package).symlink_to(Path(sys.modules[package].__file__).parent)
     # What python runs first: there the sources are others.
     (other / "sitecustomize.py").write_text(
-        "import hpid_ros.experiment.cluster as worker\n"
+        "import hpid_bench.experiment.cluster as worker\n"
         "found = dict(worker.traits(()), numpy='1.0')\n"
         "worker.traits = lambda engines: found\n"
     )

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from harness.places import ROOT
 
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.names import controller_name
-from hpid_ros.cli.main import main
-from hpid_ros.experiment.description import load_experiment
 
 pytestmark = pytest.mark.repository
 
@@ -72,7 +72,7 @@ def test_what_is_offered_is_documented_with_its_arguments(name):
 NODES = [path.stem for path in (ROOT / "hpid_ros" / "nodes").glob("*[!_].py")]
 USAGES = [
     *(importlib.import_module(f"hpid_ros.nodes.{name}").USAGE for name in NODES),
-    importlib.import_module("hpid_ros.live.live_tuner").USAGE,
+    importlib.import_module("hpid_bench.live.live_tuner").USAGE,
 ]
 
 

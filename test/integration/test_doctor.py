@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from hpid_ros.cli.commands import DONE, FAILED, doctor
-from hpid_ros.cli.main import main
+from hpid_bench.cli.commands import DONE, FAILED, doctor
+from hpid_bench.cli.main import main
 from hpid_ros.simulation.settings import ENGINES
 
 pytestmark = pytest.mark.slow
@@ -69,7 +69,7 @@ def test_nodes_that_may_not_find_each_other_are_told_with_the_setting(monkeypatc
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
     run, soon = (
         doctor._python,
-        "from hpid_ros.live import discovery as d; d._GIVEN_UP_AFTER = 0.5\n",
+        "from hpid_bench.live import discovery as d; d._GIVEN_UP_AFTER = 0.5\n",
     )
     monkeypatch.setattr(doctor, "_python", lambda program: run(soon + program))
     found = doctor.discovery()

@@ -11,12 +11,12 @@ import yaml
 from harness.experiments import changed
 from harness.places import ROOT
 
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.description import experiment_schema, load_experiment
+from hpid_bench.experiment.in_process import write_reference
+from hpid_bench.experiment.processes import parameters
 from hpid_ros.base.errors import ExperimentError, TrajectoryError
 from hpid_ros.base.yaml_files import load_document
-from hpid_ros.cli.main import main
-from hpid_ros.experiment.description import experiment_schema, load_experiment
-from hpid_ros.experiment.in_process import write_reference
-from hpid_ros.experiment.processes import parameters
 from hpid_ros.motion.references import planned_reference
 from hpid_ros.robot.description import RobotDescription
 

@@ -8,8 +8,8 @@ import yaml
 from harness.c_loops import compile_c
 from harness.places import ROOT
 
-from hpid_ros.cli.commands import BAD_INPUT, DONE, export
-from hpid_ros.cli.main import main
+from hpid_bench.cli.commands import BAD_INPUT, DONE, export
+from hpid_bench.cli.main import main
 
 GAINS = {"gains": {"p": 39.6, "i": 132.0, "d": 3.96}, "mu": -0.2, "inertia": 0.132}
 FIRMWARE = """

@@ -7,8 +7,8 @@ import pytest
 from harness.experiments import write_experiment
 from harness.studies import compared
 
-from hpid_ros.cli.commands import DONE, figures
-from hpid_ros.experiment.result_folder import MARKER, Marker
+from hpid_bench.cli.commands import DONE, figures
+from hpid_bench.experiment.result_folder import MARKER, Marker
 
 pytestmark = pytest.mark.slow
 

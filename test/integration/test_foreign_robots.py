@@ -13,6 +13,12 @@ import pytest
 import yaml
 from harness.engines import HAS_BULLET, needs_bullet
 
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.in_process import write_run_files
+from hpid_bench.tuning.upgrade import Upgrade, upgrade_text
+from hpid_bench.tuning.upgrade_prediction import simulate as simulate_loops
 from hpid_ros.base.errors import ExperimentError, RobotDescriptionError
 from hpid_ros.base.files import (
     ResourceError,
@@ -23,11 +29,7 @@ from hpid_ros.base.files import (
 )
 from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_yaml
-from hpid_ros.cli.main import main
 from hpid_ros.control.controller_files import settings_from_parameters
-from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import write_run_files
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import RobotDescription
@@ -35,8 +37,6 @@ from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 from hpid_ros.simulation.world_file import read_world
-from hpid_ros.tuning.upgrade import Upgrade, upgrade_text
-from hpid_ros.tuning.upgrade_prediction import simulate as simulate_loops
 
 if HAS_BULLET:
     from hpid_ros.simulation.bullet import bullet_robot

@@ -14,19 +14,20 @@ from harness.runs import run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.base.console import TextConsole, guarded_output
+from hpid_bench.cli.commands import BAD_INPUT, DONE
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.report.console import TextConsole
+from hpid_bench.report.page import render_report
+from hpid_bench.report.table import ComparisonTable, table_text
+from hpid_ros.base.console import guarded_output
 from hpid_ros.base.errors import ExperimentError, HpidError, ResultExistsError
 from hpid_ros.base.names import controller_name, is_label, require_node_names
 from hpid_ros.base.text import csv_text, shown, shown_lines
-from hpid_ros.cli.commands import BAD_INPUT, DONE
-from hpid_ros.cli.main import main
-from hpid_ros.experiment.description import load_experiment
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics import Comparison
-from hpid_ros.report.export import table_csv, table_latex
-from hpid_ros.report.page import render_report
-from hpid_ros.report.table import ComparisonTable, table_text
+from hpid_ros.metrics.texts import table_csv, table_lines
 
 TITLE = "\x1b]0;owned\x07"  # sets the title of a terminal
 LINK = "\x1b]8;;http://evil\x1b\\click\x1b]8;;\x1b\\"
@@ -145,7 +146,7 @@ def test_a_strangers_bag_is_measured_without_taking_over_the_terminal(tmp_path, 
         assert shown(name)[:8] in captured.out
         assert shown(name) in page
     printed = {}
-    for form in ("csv", "latex", "json"):
+    for form in ("csv", "json"):
         assert main(["metrics", *options, "--format", form]) == DONE
         printed[form] = capsys.readouterr().out
         assert not controls(printed[form])
@@ -162,7 +163,7 @@ def test_tables_and_reports_show_names_as_text():
     comparison = Comparison(
         tuple(run(f"{end}{TITLE}", rows, names=list(HOSTILE)) for end in ("a", "b"))
     )
-    for text in (table_text(comparison), table_latex(comparison), table_csv(comparison)):
+    for text in (table_text(comparison), table_lines(comparison), table_csv(comparison)):
         assert not controls(text)
     page = render_report(comparison, (), {"source": LINK}, {}, warnings=HOSTILE)
     assert not controls(page)
@@ -202,7 +203,7 @@ def test_errors_are_one_printable_line_also_in_the_logs_of_nodes():
 def test_a_file_that_cannot_be_parsed_is_told_in_one_line(tmp_path):
     path = tmp_path / f"x{TITLE}.yaml"
     path.write_text(yaml.safe_dump({"name": TITLE}))
-    command = [sys.executable, "-m", "hpid_ros.cli.main", "compare", str(path)]
+    command = [sys.executable, "-m", "hpid_bench.cli.main", "compare", str(path)]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == BAD_INPUT
     assert len(run.stderr.splitlines()) == 1

@@ -9,9 +9,9 @@ import yaml
 from harness.bags import command, odometry, state, write_bag
 from harness.motions import Plant, motion, needed
 
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.files import share_folder
-from hpid_ros.cli.main import main
-from hpid_ros.experiment.description import load_experiment
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.storage import missed_entries
 from hpid_ros.messages.writer import BagWriter

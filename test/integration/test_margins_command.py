@@ -12,9 +12,9 @@ from harness.bags import state as state_of
 from harness.bags import trajectory as trajectory_of
 from harness.motions import excited_run, multisine
 
+from hpid_bench.cli.commands import DONE, FAILED
+from hpid_bench.cli.main import main
 from hpid_ros.base.files import share_folder
-from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.main import main
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint

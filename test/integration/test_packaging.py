@@ -40,7 +40,7 @@ def source(tmp_path_factory):
     folder = tmp_path_factory.mktemp("workspace") / "src" / "hpid_ros"
     names = ("package.xml", "setup.py", "setup.cfg", "resource", "config", "launch", "urdf")
     folder.mkdir(parents=True)
-    for name in (*names, "hpid_ros", "LICENSE", "README.md"):
+    for name in (*names, "hpid_ros", "hpid_bench", "LICENSE", "README.md"):
         run("cp", "-r", str(ROOT / name), str(folder / name))
     return folder
 
@@ -99,8 +99,10 @@ def test_a_wheel_holds_every_file_and_command(source, tmp_path):
         assert any(name.endswith(f"data/share/hpid_ros/{path}") for name in names)
     of_report = ("report/assets/chart.js", "report/templates/page.html")
     for file in ("py.typed", *of_report, "tuning/templates/loop.c", "tuning/templates/loop.h"):
-        assert f"hpid_ros/{file}" in names
-    assert all(f"{name} = hpid_ros." in entry_points for name in EXECUTABLES)
+        assert f"hpid_bench/{file}" in names
+    houses = dict.fromkeys(("hpid", "live_tuner"), "hpid_bench")
+    for name in EXECUTABLES:
+        assert f"{name} = {houses.get(name, 'hpid_ros')}." in entry_points
 
 
 # package.xml -----------------------------------------------------------------------------------
@@ -116,7 +118,7 @@ KEY_OF = {
 }
 """Keys of Python modules; those of ROS packages have the module's name."""
 
-WITHOUT_KEY = {*OPTIONAL} - {"rclpy"} | {
+WITHOUT_KEY = {name for name in OPTIONAL if name not in KEY_OF} - {"rclpy"} | {
     *("compression", "simulation_interfaces", "controller_manager_msgs")
 }
 """Imported where they are installed; the last two add services, and nothing is missed without."""
@@ -146,21 +148,21 @@ def imported_in(*folders):
     found = set()
     for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         found |= set(runtime_imports(ast.parse(path.read_text())))
-    return found - sys.stdlib_module_names - {"hpid_ros", "benchmarks"}
+    return found - sys.stdlib_module_names - {"hpid_ros", "hpid_bench", "benchmarks"}
 
 
 def test_what_benchmarks_import_comes_with_their_extra():
     text = (ROOT / "setup.py").read_text()
-    (extra,) = re.findall(r'"bench": \[(.*?)\n    \]', text, re.DOTALL)
+    (extra,) = re.findall(r'"peers": \[(.*?)\n    \]', text, re.DOTALL)
     named = {"mcap-ros2-support": "mcap_ros2", "roboto-mcap-codec": "mcap_codec"}
     names = re.findall(r'"([\w-]+)', extra)
     known = {named.get(name, name.replace("-", "_")) for name in names}
-    assert imported_in("benchmarks") - imported_in("hpid_ros") == known
+    assert imported_in("benchmarks") - imported_in("hpid_ros", "hpid_bench") == known
 
 
 def test_whatever_is_imported_has_its_key():
     keys = set(tool("check_rosdep_keys").keys_of(PACKAGE))
-    imported = imported_in("hpid_ros", "launch") - WITHOUT_KEY
+    imported = imported_in("hpid_ros", "hpid_bench", "launch") - WITHOUT_KEY
     assert {"rclpy", "launch", "numpy", "ament_index_python"} <= imported
     assert "pinocchio" in keys
     assert {KEY_OF.get(name, name) for name in imported} - keys == set()

@@ -7,9 +7,9 @@ import pytest
 from harness.studies import compared
 from PIL import Image
 
+from hpid_bench.cli.main import main
+from hpid_bench.report.film import FilmSettings, recorded, render
 from hpid_ros.base.errors import LibraryError
-from hpid_ros.cli.main import main
-from hpid_ros.report.film import FilmSettings, recorded, render
 from hpid_ros.robot.shapes import Shape
 from hpid_ros.simulation.stage import Stage, View
 

@@ -15,8 +15,8 @@ from harness.studies import wait_until
 from mcap.reader import make_reader
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import BagError
-from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.storage import Storage
 from hpid_ros.messages.writer import BagWriter, TopicQos, repair_bag
@@ -196,7 +196,7 @@ def test_kill_minus_nine_costs_nothing_that_was_acknowledged(harness, tmp_path, 
     faults.count("recorder killed: acknowledged messages lost", 0)
 
 
-HPID = (sys.executable, "-m", "hpid_ros.cli.main")
+HPID = (sys.executable, "-m", "hpid_bench.cli.main")
 MOUNTS = ("unshare", "--mount", "--")
 
 

@@ -9,12 +9,12 @@ import pytest
 import yaml
 from harness.studies import wait_until
 
+from hpid_bench.cli.commands import DONE
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.in_process import write_document
+from hpid_bench.experiment.result_folder import MARKER, Marker, ResultFolder
 from hpid_ros.base.errors import ExperimentError, ResultExistsError
 from hpid_ros.base.files import write_file
-from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.main import main
-from hpid_ros.experiment.in_process import write_document
-from hpid_ros.experiment.result_folder import MARKER, Marker, ResultFolder
 
 
 def files_in(folder):
@@ -231,7 +231,7 @@ def test_an_interrupted_comparison_keeps_the_former_result_and_its_own_readable_
     made(output)
     before = files_in(output)
     long = experiment_file(duration=200.0)
-    command = [sys.executable, "-m", "hpid_ros.cli.main", "compare", str(long), "--in-process"]
+    command = [sys.executable, "-m", "hpid_bench.cli.main", "compare", str(long), "--in-process"]
     run = subprocess.Popen(
         [*command, "-o", str(output), "--force"],
         stdout=subprocess.DEVNULL,

@@ -9,10 +9,10 @@ from harness.places import URDF
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.experiment.compare import compute
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.base.errors import BagError, ExperimentError, SettingError
-from hpid_ros.experiment.compare import compute
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.messages import BagMessages
 from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.task import PoseErrors, base_figures

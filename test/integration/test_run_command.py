@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from hpid_ros.cli.main import main
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph_run import trial_line
-from hpid_ros.experiment.in_process import NoProgress, run_without_ros
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.graph_run import trial_line
+from hpid_bench.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.run import read_run
 
 

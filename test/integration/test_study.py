@@ -15,12 +15,10 @@ from harness.engines import needs_bullet, shipped
 from harness.places import ROOT
 from harness.studies import ARM, saved, study
 
-from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import share_folder
-from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
-from hpid_ros.cli.commands.batches import _shipped_files
-from hpid_ros.cli.main import main
-from hpid_ros.experiment.batch import (
+from hpid_bench.cli.commands import DONE, FAILED, INTERRUPTED
+from hpid_bench.cli.commands.batches import _shipped_files
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.batch import (
     LAST_ERROR,
     TOTAL,
     RunRecord,
@@ -29,8 +27,8 @@ from hpid_ros.experiment.batch import (
     simulate,
     simulated,
 )
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.study_plan import (
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.study_plan import (
     JournalEntry,
     RunKey,
     default_files,
@@ -38,6 +36,8 @@ from hpid_ros.experiment.study_plan import (
     plan_study,
     read_journal,
 )
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.files import share_folder
 from hpid_ros.metrics.quantities import INDICES
 
 EXPERIMENTS = share_folder() / "config" / "experiments"

@@ -17,9 +17,8 @@ import numpy as np
 import pytest
 from harness.studies import children_of, is_alive, wait_until
 
-from hpid_ros.base.errors import SettingError
-from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
-from hpid_ros.experiment.batch import (
+from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from hpid_bench.experiment.batch import (
     TOTAL,
     Quartiles,
     RunRecord,
@@ -28,10 +27,11 @@ from hpid_ros.experiment.batch import (
     run_batch,
     simulated,
 )
-from hpid_ros.experiment.compare import compute
-from hpid_ros.experiment.description import following_loops, load_experiment
-from hpid_ros.experiment.in_process import NoProgress, run_without_ros
-from hpid_ros.experiment.sweep import Axis, SweepResult, plan_sweep
+from hpid_bench.experiment.compare import compute
+from hpid_bench.experiment.description import following_loops, load_experiment
+from hpid_bench.experiment.in_process import NoProgress, run_without_ros
+from hpid_bench.experiment.sweep import Axis, SweepResult, plan_sweep
+from hpid_ros.base.errors import SettingError
 from hpid_ros.metrics.quantities import INDICES, IVC, PAPER
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.simulation.engine import run_in_process
@@ -142,7 +142,13 @@ def test_an_interrupt_ends_every_process_and_leaves_what_was_run(
     experiment_file, tmp_path, started, is_warm
 ):
     folder = tmp_path / "sweep"
-    command = [sys.executable, "-m", "hpid_ros.cli.main", "sweep", experiment_file(duration=20.0)]
+    command = [
+        sys.executable,
+        "-m",
+        "hpid_bench.cli.main",
+        "sweep",
+        experiment_file(duration=20.0),
+    ]
     command += ["--vary", "mu=-0.2:0.2:50", "--jobs", "2", "-o", folder]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True

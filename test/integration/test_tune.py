@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 import yaml
 
-from hpid_ros.base.errors import GainError
-from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
-from hpid_ros.cli.main import main
-from hpid_ros.control.homogeneous_pid import is_hurwitz
-from hpid_ros.experiment import batch
-from hpid_ros.experiment.batch import run_batch, simulated
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.search import (
+from hpid_bench.cli.commands import DONE, FAILED, INTERRUPTED
+from hpid_bench.cli.main import main
+from hpid_bench.experiment import batch
+from hpid_bench.experiment.batch import run_batch, simulated
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.search import (
     Cost,
     Evaluation,
     Search,
@@ -26,6 +24,8 @@ from hpid_ros.experiment.search import (
     SearchSpace,
     compare_entry,
 )
+from hpid_ros.base.errors import GainError
+from hpid_ros.control.homogeneous_pid import is_hurwitz
 from hpid_ros.stability import gain_check as degree_check
 
 ARM = ["arm_joint_1", "arm_joint_2"]

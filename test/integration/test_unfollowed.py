@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hpid_ros.experiment.compare import Result, save_numbers
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_bench.experiment.compare import Result, save_numbers
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.result_folder import ResultFolder
 from hpid_ros.messages.series import (
     DataQuality,
     JointSeries,

@@ -15,19 +15,12 @@ from harness.loops import loop_settings
 from harness.places import URDF
 from harness.runs import indices
 
-from hpid_ros.base.errors import GainError, SettingError
-from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
-from hpid_ros.cli.commands import upgrade as command_module
-from hpid_ros.cli.main import main
-from hpid_ros.cli.options import inertias_from, parameter_file
-from hpid_ros.control import Gains
-from hpid_ros.control.assembly import make_law
-from hpid_ros.messages.series import JointSeries
-from hpid_ros.metrics import Comparison
-from hpid_ros.metrics.results import RunIndices
-from hpid_ros.simulation.settings import Encoder
-from hpid_ros.tuning.robot_identification import visited_poses
-from hpid_ros.tuning.upgrade import (
+from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_bench.cli.commands import upgrade as command_module
+from hpid_bench.cli.main import main
+from hpid_bench.cli.options import inertias_from, parameter_file
+from hpid_bench.tuning.robot_identification import visited_poses
+from hpid_bench.tuning.upgrade import (
     Candidate,
     effort_scale,
     loop_statistics,
@@ -36,7 +29,14 @@ from hpid_ros.tuning.upgrade import (
     upgrades,
     worthwhile,
 )
-from hpid_ros.tuning.upgrade_prediction import simulate
+from hpid_bench.tuning.upgrade_prediction import simulate
+from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.control import Gains
+from hpid_ros.control.assembly import make_law
+from hpid_ros.messages.series import JointSeries
+from hpid_ros.metrics import Comparison
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.simulation.settings import Encoder
 
 MS = 1_000_000
 ARM = ("arm_joint_1", "arm_joint_4")
@@ -379,9 +379,9 @@ def test_the_poses_of_recordings_are_of_these_and_not_of_the_time_between():
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     """Return the folder of a run: a parameter file of two of its controllers, and its bag."""
+    from hpid_bench.experiment.description import load_experiment
+    from hpid_bench.experiment.in_process import NoProgress, run_without_ros, write_run_files
     from hpid_ros.base.files import share_folder
-    from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.experiment.in_process import NoProgress, run_without_ros, write_run_files
 
     folder = tmp_path_factory.mktemp("upgrade")
     document = yaml.safe_load((share_folder() / "config/experiments/tracking.yaml").read_text())

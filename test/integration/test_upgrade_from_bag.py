@@ -18,14 +18,14 @@ from harness.bags import (
     write_bag,
 )
 
+from hpid_bench.cli.main import main
+from hpid_bench.cli.options import parameter_file
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.in_process import NoProgress, run_without_ros
+from hpid_bench.tuning.upgrade_prediction import Prediction, _ran, read_prediction
 from hpid_ros.base.files import share_folder
-from hpid_ros.cli.main import main
-from hpid_ros.cli.options import parameter_file
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.messages.storage import PARAMETERS, custom_data, missed_entries
 from hpid_ros.messages.writer import BagWriter
-from hpid_ros.tuning.upgrade_prediction import Prediction, _ran, read_prediction
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 LINK = """<link name="{name}"><inertial><origin xyz="{at} 0 0"/><mass value="{mass}"/>

@@ -7,12 +7,12 @@ import pytest
 from harness.runs import run
 from rich.console import Console
 
-from hpid_ros.cli.commands.check_gains import gain_table as table_of_gains
-from hpid_ros.cli.terminal import output_console
+from hpid_bench.cli.commands.check_gains import gain_table as table_of_gains
+from hpid_bench.cli.terminal import output_console
+from hpid_bench.report.table import UNLIMITED_WIDTH, ComparisonTable, Grid, TableColumn, WideTable
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.settings import Timing
 from hpid_ros.metrics import Comparison
-from hpid_ros.report.table import UNLIMITED_WIDTH, ComparisonTable, Grid, TableColumn, WideTable
 from hpid_ros.stability.gain_check import GainVerdict, check_gains
 
 WIDTHS = (24, 40, 60, 80)

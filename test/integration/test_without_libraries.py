@@ -1,5 +1,7 @@
 """A robot needs no optional library, the rest says what it lacks; slow ones come when needed."""
 
+import csv
+import io
 import subprocess
 import sys
 
@@ -9,10 +11,11 @@ from harness.bags import small_log, write_bag
 from hpid_ros.base.errors import LibraryError
 from hpid_ros.base.processes import OPTIONAL, optional_libraries
 
-WITHOUT_PACKAGE = OPTIONAL.keys() - {"pinocchio", "joblib"}  # rosdep knows these
+BENCH = {"argcomplete", "jinja2", "joblib", "matplotlib", "PIL", "rich"}
+WITHOUT_PACKAGE = OPTIONAL.keys() - {"pinocchio", *BENCH}  # rosdep knows these
 
 
-COMMAND = "from hpid_ros.cli.main import main; sys.exit(main(sys.argv[1:]))"
+COMMAND = "from hpid_bench.cli.main import main; sys.exit(main(sys.argv[1:]))"
 
 
 def barred(*args, libraries=OPTIONAL, program=COMMAND):
@@ -32,8 +35,9 @@ def bag(tmp_path_factory):
 
 
 def test_a_recording_is_measured_as_with_them(bag):
+    lacking = OPTIONAL.keys() - BENCH | {"joblib"}
     with_all, without = (
-        barred("metrics", bag, "--json", libraries=libraries) for libraries in ((), OPTIONAL)
+        barred("metrics", bag, "--json", libraries=each) for each in ((), lacking)
     )
     assert without.returncode == 0
     assert without.stderr == with_all.stderr
@@ -55,6 +59,29 @@ def test_every_node_starts_and_the_recorder_says_what_it_lacks(tmp_path):
     assert ended.stderr.startswith("writing bags, and reading those of ROS 1")
     assert ended.stderr.count("\n") == 1
     assert not (tmp_path / "bag").exists()
+
+
+def test_a_robot_without_the_bench_measures_its_recordings(bag):
+    """The bench is a package of its own: not even by name is it there."""
+    libraries = {*OPTIONAL.keys() - {"rclpy"}, "hpid_bench"}
+    program = "from hpid_ros.nodes import bag_metrics as node; sys.exit(node.main(sys.argv))"
+    ended = barred(*("--ros-args", "-p", f"bags:=['{bag}']"), program=program, libraries=libraries)
+    assert ended.returncode == 0, ended.stderr
+    rows = [line.split() for line in ended.stdout.splitlines()]
+    assert rows[0][:2] == ["index", "joint"]
+    table = csv.DictReader(io.StringIO(barred("metrics", bag, "--csv", libraries=()).stdout))
+    found = {each["joint"]: each["value"] for each in table if each["quantity"] == "ivc"}
+    assert len(found) > 1
+    for joint, value in found.items():
+        (row,) = (each for each in rows if each[:1] == ["IVC"] and each[-2] == (joint or "total"))
+        assert float(row[-1]) == pytest.approx(float(value), rel=1e-4)
+
+
+def test_hpid_says_what_the_bench_lacks(bag):
+    ended = barred("metrics", bag, "--format", "json", libraries={"rich"})
+    assert ended.returncode == 2
+    (line,) = ended.stderr.splitlines()
+    assert "needs rich, which is not installed: pip install 'hpid_ros[bench]'" in line
 
 
 def test_the_simulated_robot_says_what_it_lacks(experiment_file, tmp_path):
@@ -102,7 +129,7 @@ def imported_by(program, *arguments):
 
 @pytest.mark.repository
 def test_nothing_slow_is_imported_when_nodes_start():
-    modules = {*(f"hpid_ros.nodes.{name}" for name in NODES), "hpid_ros.live.live_tuner"}
+    modules = {*(f"hpid_ros.nodes.{name}" for name in NODES), "hpid_bench.live.live_tuner"}
     imported = imported_by(f"import {', '.join(modules)}")
     assert modules <= imported
     assert not SLOW & imported
@@ -110,7 +137,7 @@ def test_nothing_slow_is_imported_when_nodes_start():
 
 @pytest.mark.repository
 def test_the_help_waits_for_no_library():
-    assert not {"numpy", "rich", "yaml", "rosbags"} & imported_by("import hpid_ros.cli.main")
+    assert not {"numpy", "rich", "yaml", "rosbags"} & imported_by("import hpid_bench.cli.main")
 
 
 @pytest.mark.repository

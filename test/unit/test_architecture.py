@@ -1,4 +1,7 @@
-"""Imports point inward, each library has one room, and no folder is crowded."""
+"""Imports point inward, each library has one room, and no folder is crowded.
+
+Two houses: what drives a robot, and the bench, which may use it and is not used by it.
+"""
 
 import ast
 import functools
@@ -16,16 +19,21 @@ import hpid_ros
 
 pytestmark = pytest.mark.repository
 
-ROOT = Path(hpid_ros.__file__).parent
-ARCHITECTURE = ROOT.parent / "docs" / "architecture.md"
+ROOT = Path(hpid_ros.__file__).parents[1]
+HOUSES = {
+    "hpid_ros": (
+        *("base", "control", "robot", "motion", "messages", "stability", "simulation"),
+        *("metrics", "nodes"),
+    ),
+    "hpid_bench": ("report", "tuning", "experiment", "live", "cli"),
+}
+ARCHITECTURE = ROOT / "docs" / "architecture.md"
 ENTRIES = 24  # in one folder, at most
 
 # From the inside out: a room may import those before it.
-LAYERS = (
-    *("base", "control", "robot", "motion", "messages", "stability", "simulation", "metrics"),
-    *("report", "tuning", "experiment", "nodes", "live", "cli"),
-)
-NOT_ALLOWED = {("cli", "nodes")}  # it starts them as processes
+LAYERS = tuple(room for rooms in HOUSES.values() for room in rooms)
+# The bench starts nodes as processes; what reads a running graph is one.
+NOT_ALLOWED = {(room, "nodes") for room in ("report", "tuning", "experiment", "cli")}
 ONLY_IN = {
     "rclpy": {"nodes", "live"},
     "launch": {"nodes"},
@@ -43,9 +51,9 @@ PURE_LIBRARIES = {"numpy", "scipy"}
 FOREIGN = {"rclpy", "rosbags"}
 # The only modules that may touch what another package keeps to itself.
 INTERNALS = {
-    "nodes/parts/goal_server.py",
-    "nodes/core/rclpy_internals.py",
-    "messages/rosbags_internals.py",
+    "hpid_ros/nodes/parts/goal_server.py",
+    "hpid_ros/nodes/core/rclpy_internals.py",
+    "hpid_ros/messages/rosbags_internals.py",
 }
 # Documented in spite of the underscore: those of named tuples, and two of Python's own.
 PUBLISHED = {"_replace", "_asdict", "_fields", "_make"}
@@ -74,7 +82,7 @@ def test_the_page_on_architecture_has_the_rooms_in_their_order():
 
 @functools.cache
 def modules():
-    return tuple(sorted(ROOT.rglob("*.py")))
+    return tuple(sorted(path for house in HOUSES for path in (ROOT / house).rglob("*.py")))
 
 
 @functools.cache
@@ -83,7 +91,7 @@ def parsed(path):
 
 
 def room(path):
-    parts = path.relative_to(ROOT).parts
+    _, *parts = path.relative_to(ROOT).parts
     return parts[0] if len(parts) > 1 else None
 
 
@@ -97,12 +105,12 @@ def imports(path):
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             names.append(node.module)
-            if node.module.split(".")[0] == "hpid_ros":
+            if node.module.split(".")[0] in HOUSES:
                 names += [f"{node.module}.{alias.name}" for alias in node.names]
     return tuple(names)
 
 
-ROOMS = sorted({room(path) or "" for path in modules()})  # the house itself: ""
+ROOMS = sorted({room(path) or "" for path in modules()})  # the houses themselves: ""
 
 
 def modules_of(name):
@@ -119,7 +127,7 @@ def test_imports_point_inward(name):
 def is_allowed(name, here):
     """Tell whether a room may import a name: a library, or what is of another room."""
     top, *rest = name.split(".")
-    if top != "hpid_ros":
+    if top not in HOUSES:
         return here in ONLY_IN.get(top, {here})
     target = rest[0] if rest else None
     if here is None or target in (None, here, "__version__"):
@@ -133,9 +141,15 @@ def test_the_pure_core_needs_no_library_but_numpy_and_scipy(name):
     for path in modules_of(name):
         names = set(imports(path))
         tops = {each.split(".")[0] for each in names}
-        assert tops - sys.stdlib_module_names <= {"hpid_ros"} | PURE_LIBRARIES, path
+        assert tops - sys.stdlib_module_names <= HOUSES.keys() | PURE_LIBRARIES, path
         assert not clocks & tops, path
         assert not names & SHELL, path
+
+
+def test_what_drives_a_robot_knows_nothing_of_the_bench():
+    """Not even by name: what it starts as a process is started by the bench."""
+    for path in (ROOT / "hpid_ros").rglob("*.py"):
+        assert "hpid_bench." not in path.read_text(), path
 
 
 def test_there_is_no_circle():
@@ -152,38 +166,39 @@ def test_there_is_no_circle():
 
 
 def module_name(path):
-    return ".".join(("hpid_ros", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(
-        ".__init__"
-    )
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
 def imports_of(path):
     """Yield what a module imports, wherever it does: for its types or in a function, too."""
     for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] == "hpid_ros":
+        if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in HOUSES:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def test_no_folder_is_crowded():
-    """But for the house itself, whose rooms are many."""
-    for folder in {path.parent for path in modules()} - {ROOT}:
+    for folder in {path.parent for path in modules()}:
         entries = [entry for entry in folder.iterdir() if entry.name != "__pycache__"]
         assert len(entries) <= ENTRIES, f"{folder} has {len(entries)} entries"
 
 
 def test_nodes_do_not_import_each_other():
     """What has a main is a node; parts that nodes share are below them."""
-    nodes = {p.stem for p in (ROOT / "nodes").glob("*.py") if "\ndef main(" in p.read_text()}
+    nodes = {
+        p.stem
+        for p in (ROOT / "hpid_ros" / "nodes").glob("*.py")
+        if "\ndef main(" in p.read_text()
+    }
     composed = {"joint_controllers", "single_process"}  # several nodes, by definition
-    for path in (ROOT / "nodes").rglob("*.py"):
+    for path in (ROOT / "hpid_ros" / "nodes").rglob("*.py"):
         used = {f"hpid_ros.nodes.{node}" for node in nodes} & set(imports(path))
         assert not used or path.stem in composed, f"{path.stem} imports {used}"
-    assert nodes >= {p.stem for p in (ROOT / "nodes").glob("*.py")} - {"__init__"}
+    assert nodes >= {p.stem for p in (ROOT / "hpid_ros" / "nodes").glob("*.py")} - {"__init__"}
 
 
 def test_the_repository_holds_its_own_sources_alone():
-    top = ROOT.parent
+    top = ROOT
     if not (top / ".git").exists():
         pytest.skip("not a checkout")
     listing = subprocess.run(

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from harness.loops import Joint, pure_loop
 
+from hpid_bench.tuning.autotune import relay_cycle
+from hpid_bench.tuning.joint_record import JointRecord
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import Gains, JointLoop, LoopSettings, ModelTerm
 from hpid_ros.control.overrides import DONE, LONGEST, RelayRequest
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.tuning.autotune import relay_cycle
-from hpid_ros.tuning.joint_record import JointRecord
 
 MS = 1_000_000
 PERIOD = 0.002

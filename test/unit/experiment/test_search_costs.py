@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.base.errors import SettingError
-from hpid_ros.experiment.batch import TOTAL, RunRecord
-from hpid_ros.experiment.search import (
+from hpid_bench.experiment.batch import TOTAL, RunRecord
+from hpid_bench.experiment.search import (
     EFFORT_PARAMETERS,
     HPID_PARAMETERS,
     PID_PARAMETERS,
@@ -16,8 +15,9 @@ from hpid_ros.experiment.search import (
     WorstExcess,
     mean_ratios,
 )
+from hpid_bench.report.plots import pareto_front
+from hpid_ros.base.errors import SettingError
 from hpid_ros.metrics.quantities import PAPER
-from hpid_ros.report.plots import pareto_front
 
 PARAMETERS = st.sampled_from([*PID_PARAMETERS, *HPID_PARAMETERS, *EFFORT_PARAMETERS])
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.experiment.study import CLAIMS, NUMERIC_CLAIMS, Evidence, verdict
+from hpid_bench.experiment.study import CLAIMS, NUMERIC_CLAIMS, Evidence, verdict
 
 
 def evidence(ivc=0.5, iavc=0.7, effort=0.7, itae=0.9, error=1.0, better=6, of=6, **more):

@@ -9,8 +9,8 @@ from harness.simulated_graph import SimulatedGraph, arm
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.live.page.server import Guard, Newcomers, PageServer, require_token
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.page.server import Guard, Newcomers, PageServer, require_token
 
 TOKEN = "correct-horse-battery"
 HOST = "127.0.0.1:8080"

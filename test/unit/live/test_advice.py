@@ -9,8 +9,8 @@ from dataclasses import asdict
 import pytest
 from harness.simulated_graph import loop_settings
 
-from hpid_ros.live.advice import UNKNOWN_INERTIA, Advice, AdviceClient, Adviser, response_to
-from hpid_ros.live.page.panel import _joint_advice
+from hpid_bench.live.advice import UNKNOWN_INERTIA, Advice, AdviceClient, Adviser, response_to
+from hpid_bench.live.page.panel import _joint_advice
 from hpid_ros.stability.gain_check import check_gains
 
 PATIENCE = 60.0  # [s]

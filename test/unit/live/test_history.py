@@ -8,9 +8,9 @@ from harness.simulated_graph import loop_settings
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hpid_ros.live.controllers import Samples
-from hpid_ros.live.history import LONGEST, JointHistory, RisingCount, Track, extremes
-from hpid_ros.live.streams import ControlClock, JointNumbers, JointSampler, joint_numbers
+from hpid_bench.live.controllers import Samples
+from hpid_bench.live.history import LONGEST, JointHistory, RisingCount, Track, extremes
+from hpid_bench.live.streams import ControlClock, JointNumbers, JointSampler, joint_numbers
 from hpid_ros.messages.joint_state import JointStateFields
 from hpid_ros.metrics.indices import itae, total_variation
 

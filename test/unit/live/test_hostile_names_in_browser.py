@@ -10,7 +10,7 @@ from harness.browser import launched
 from harness.page_process import PageProcess
 from harness.places import ROOT
 
-from hpid_ros.live.session import name_shown
+from hpid_bench.live.session import name_shown
 
 pytestmark = pytest.mark.slow
 
@@ -163,7 +163,7 @@ def test_a_script_that_got_onto_the_page_would_not_run(page, wrong):
 
 def test_what_is_parsed_for_properties_and_markup_is_written_here():
     """NiceGUI parses the text of props(), classes() and style(); markup is not made at all."""
-    for path in sorted((ROOT / "hpid_ros" / "live" / "page").glob("*.py")):
+    for path in sorted((ROOT / "hpid_bench" / "live" / "page").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
                 continue

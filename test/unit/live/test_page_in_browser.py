@@ -10,7 +10,7 @@ import pytest
 from harness.browser import launched
 from harness.simulated_graph import SimulatedGraph, arm
 
-from hpid_ros.live.page.server import PageServer
+from hpid_bench.live.page.server import PageServer
 
 pytestmark = pytest.mark.slow
 

@@ -8,14 +8,14 @@ import pytest
 from harness.simulated_graph import SimulatedGraph, arm
 from nicegui import Client, ui
 
-from hpid_ros.live.advice import Advice
-from hpid_ros.live.controllers import Samples
-from hpid_ros.live.page.panel import AllParameters, TuningPanel
-from hpid_ros.live.page.parts import Viewer
-from hpid_ros.live.page.trial_panel import TrialPanel
-from hpid_ros.live.page.view import JointTable, PageView, _state
-from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trials import Trials
+from hpid_bench.live.advice import Advice
+from hpid_bench.live.controllers import Samples
+from hpid_bench.live.page.panel import AllParameters, TuningPanel
+from hpid_bench.live.page.parts import Viewer
+from hpid_bench.live.page.trial_panel import TrialPanel
+from hpid_bench.live.page.view import JointTable, PageView, _state
+from hpid_bench.live.session import LiveSession
+from hpid_bench.live.trials import Trials
 
 NODES = sorted(arm())
 

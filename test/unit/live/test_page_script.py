@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 NODE = Path(playwright.__file__).parent / "driver" / "node"
 BIOME = shutil.which("biome", path=Path(sys.executable).parent) or shutil.which("biome")
-ASSETS = ROOT / "hpid_ros" / "live" / "page" / "assets"
+ASSETS = ROOT / "hpid_bench" / "live" / "page" / "assets"
 
 
 def evaluate(program, data=None):

@@ -11,10 +11,17 @@ from harness.simulated_graph import SimulatedGraph, arm, loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.live.controllers import Answer
+from hpid_bench.live.page.server import Frames
+from hpid_bench.live.session import (
+    BANDWIDTH,
+    ControlLock,
+    Limit,
+    LiveSession,
+    Tuning,
+    slider_range,
+)
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.controllers import Answer
-from hpid_ros.live.page.server import Frames
-from hpid_ros.live.session import BANDWIDTH, ControlLock, Limit, LiveSession, Tuning, slider_range
 
 NODES = sorted(arm())
 

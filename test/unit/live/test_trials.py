@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from harness.simulated_graph import SimulatedGraph, arm
 
+from hpid_bench.live import motion as watching
+from hpid_bench.live import trials as module
+from hpid_bench.live.controllers import RunningGraph, Samples
+from hpid_bench.live.motion import RELEASED, Ending, Mover, carried_out
+from hpid_bench.live.session import LiveSession
+from hpid_bench.live.trials import MotionWish, Stage, Trials, Tried, Variant
 from hpid_ros.base.errors import HpidError, RunError
-from hpid_ros.live import motion as watching
-from hpid_ros.live import trials as module
-from hpid_ros.live.controllers import RunningGraph, Samples
-from hpid_ros.live.motion import RELEASED, Ending, Mover, carried_out
-from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trials import MotionWish, Stage, Trials, Tried, Variant
 
 NODE, OTHER, *_ = arm()
 PAGE = "page"

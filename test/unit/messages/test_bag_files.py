@@ -29,8 +29,8 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, IndexType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import BagError
-from hpid_ros.cli.main import main
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import RunSeries
 from hpid_ros.messages.storage import Storage

@@ -20,8 +20,9 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
+from hpid_bench.cli.main import main
+from hpid_bench.report.page import Paragraph, data_quality
 from hpid_ros.base.errors import BagError, ResultExistsError
-from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import quality_lines
@@ -34,7 +35,6 @@ from hpid_ros.messages.storage import (
     time_stood_still,
 )
 from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos, repair_bag
-from hpid_ros.report.page import Paragraph, data_quality
 
 COMMAND = JointStateTemplate(["elbow"], effort=True)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from harness.bags import S, ramp, small_log, state, trajectory, write_bag
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import BagError
-from hpid_ros.cli.main import main
 from hpid_ros.messages import spill
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import KeptJoints

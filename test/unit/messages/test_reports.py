@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from hpid_bench.cli.commands import DONE
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import MessageError
-from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.main import main
 from hpid_ros.messages import reports
 from hpid_ros.messages.joint_trajectory import decode_trajectory, encode_trajectory
 from hpid_ros.messages.messages import PARAMETER_EVENTS, read_event, read_retunes

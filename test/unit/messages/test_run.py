@@ -29,8 +29,8 @@ from harness.foreign_bags import FLOAT64, LATENCY, commands, float64, in_order, 
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import BagError, SettingError
-from hpid_ros.cli.main import main
 from hpid_ros.messages import columns
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run

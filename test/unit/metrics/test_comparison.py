@@ -12,6 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from hpid_bench.report.table import ComparisonTable, table_text
 from hpid_ros.messages.series import (
     DataQuality,
     RecordingQuality,
@@ -39,8 +40,15 @@ from hpid_ros.metrics.quantities import (
     Data,
 )
 from hpid_ros.metrics.results import run_indices, runs_from_mapping
-from hpid_ros.report.export import CSV_COLUMNS, table_csv, table_latex
-from hpid_ros.report.table import ComparisonTable, format_ratio, format_values, table_text
+from hpid_ros.metrics.texts import (
+    CSV_COLUMNS,
+    cells_of,
+    format_ratio,
+    format_values,
+    headings_of,
+    table_csv,
+    table_lines,
+)
 
 # The paper's Table I and norms.
 PAPER_PID = ((982, 114, 2.776), (2390, 142, 4.385), (836, 43, 1.198), (111, 67, 6.589))
@@ -187,9 +195,9 @@ def test_what_is_not_there_is_a_dash_with_its_reason_in_every_form():
     assert {r["note"] for r in rows if r["quantity"] == "error_l2"} == {"totals without b"}
     reasons = {row["note"] for row in rows if not row["value"]}
     assert reasons == {"no reference was recorded"}
-    latex = table_latex(comparison)
-    assert r"No ITAE, joint b: no reference was recorded." in latex
-    assert r"& -- & --" in latex
+    plain = table_lines(comparison)
+    assert "No ITAE, joint b: no reference was recorded." in plain
+    assert re.search(r"^ITAE \[rad s\^2\] +b +– +– +–$", plain, re.MULTILINE)
     saved = json.loads(json.dumps(comparison.as_mapping(), allow_nan=False))
     one = saved["runs"]["hPID"]
     assert one["lacking"] == {"b": {"reference": "no reference was recorded"}}
@@ -238,7 +246,7 @@ def test_what_was_assumed_is_said_and_does_not_compare_with_what_was_recorded():
     }
     assumed = run_indices(recording("a", quality=RecordingQuality(joints=quality)))
     twice = Comparison((assumed, dataclasses.replace(assumed, label="b")))
-    for text in (table_text(twice), table_latex(twice), answer(twice)):
+    for text in (table_text(twice), table_lines(twice), answer(twice)):
         assert "a and b: reference: the first position, held as asked for." in text
         assert "effort: measured, of /joint" in text
     assert "reference: the first position, held" in table_csv(twice)
@@ -268,7 +276,7 @@ def test_runs_of_unlike_length_or_rate_get_no_verdict_but_their_numbers(other, r
     assert f"hPID against PID: not comparable: {reason}." in text
     assert f"No ratios of hPID to PID: {reason}." in text
     assert not re.search(r"\d[▼▲=]", text)
-    assert "textbf" not in table_latex(comparison)
+    assert not re.search(r"\d[▼▲=]", table_lines(comparison))
     mapping = comparison.as_mapping()
     assert mapping["not_compared"] == {"hPID": {reason: "all"}}
     assert mapping["ratios"]["hPID"]["totals"] == {}
@@ -370,31 +378,32 @@ def test_the_csv_returns_every_number_to_the_bit(three):
             assert float(row["ratio"]) == three.ratio(row["run"], quantity, joint)
 
 
-def test_the_latex_needs_no_package_and_every_row_has_all_columns(three):
-    text = table_latex(three)
-    assert not re.search(r"toprule|midrule|cmidrule|siunitx|\\SI|rowcolor", text)
-    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 2
-    main = text.split(r"\end{tabular}")[0]
-    for line in main.splitlines():
-        if line.endswith(r"\\ \hline"):
-            spans = [int(n) - 1 for n in re.findall(r"\\multicolumn\{(\d+)\}", line)]
-            assert len(re.findall(r"(?<!\\)&", line)) + sum(spans) == 9
-    assert r"hPID\_canonical" in text
-
-
-def test_the_latex_marks_the_lower_number_and_no_tie(paper):
-    text = table_latex(paper)
-    assert r"joint2 & 2390.0 & \textbf{618.0} & 142.00 & \textbf{68.00}" in text
-    assert r"\textbf{2.776} & 2.806" in text
-    tie = Comparison((run("a", [(1, 1, 1)]), run("b", [(1, 1, 1)])))
-    assert "textbf" not in table_latex(tie)
-    infinite = Comparison((run("a", [(0, 1, 1)]), run("b", [(1, 1, 1)])))
-    assert r"$\infty$" in table_latex(infinite)
+def test_plain_columns_hold_every_number_with_its_mark(three):
+    """What bag_metrics prints: one line for each index and joint, columns under each other."""
+    table, notes = table_lines(three).split("\n\n")
+    head, *rows = table.splitlines()
+    assert head.split() == ["index", "joint", *headings_of(three)]
+    lines_of = len(three.joint_names) + 1
+    assert len(rows) == lines_of * len(three.indices) + len(three.norms)
+    ends = [match.end() for match in re.finditer(r"\S+", head)][2:]
+    for line in rows:
+        assert {match.end() for match in re.finditer(r"\S+", line)} >= set(ends), line
+    for quantity in three.indices:
+        cells = cells_of(three, quantity, (*three.joint_names, None))
+        for joint, row in zip((*three.joint_names, "total"), cells, strict=True):
+            (line,) = (
+                each
+                for each in rows
+                if each.startswith(quantity.symbol + " ") and f" {joint} " in each
+            )
+            assert line.split()[-len(row) :] == [f"{each.text}{each.mark}" for each in row]
+    verdicts = list(verdict_lines(three))
+    assert notes.splitlines()[-len(verdicts) :] == verdicts
 
 
 def test_a_single_run_has_a_table_in_every_form(paper):
     alone = Comparison(paper.runs[:1])
     assert "ratio" not in table_text(alone)
     assert len(table_csv(alone).splitlines()) == 1 + 4 * 3 + 3 + 2
-    assert "PID /" not in table_latex(alone)
+    assert "ratio" not in table_lines(alone)
     assert alone.ratio("PID", ITAE) == 1.0

@@ -12,6 +12,8 @@ from harness.runs import recording
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.report.export import engine_grids, engines_csv, format_distance
+from hpid_bench.report.table import grids_markdown, grids_text, table_text
 from hpid_ros.messages.series import JointSeries, RunSeries, SeriesError
 from hpid_ros.metrics.comparison import (
     Comparison,
@@ -33,14 +35,7 @@ from hpid_ros.metrics.quantities import (
     RMSE,
 )
 from hpid_ros.metrics.results import run_indices, runs_from_mapping, with_angles_in
-from hpid_ros.report.export import (
-    engine_grids,
-    engines_csv,
-    format_distance,
-    table_csv,
-    table_latex,
-)
-from hpid_ros.report.table import grids_markdown, grids_text, table_text
+from hpid_ros.metrics.texts import table_csv, table_lines
 
 
 def numbers(*arguments, **options):
@@ -102,7 +97,7 @@ def test_tables_and_files_show_the_number_of_repeats_and_the_quartiles():
     assert rows[0][-5:-1] == ["repeats", "first_quartile", "third_quartile", "note"]
     assert ["3", repr(low), repr(high), ""] in [row[-5:-1] for row in rows]
     assert all(row[-5:-1] == ["", "", "", ""] for row in rows if row[0] == "hPID")
-    assert "PID (3)" in table_latex(comparison)
+    assert "PID (3)" in table_lines(comparison)
 
 
 # Units -----------------------------------------------------------------------------------------
@@ -127,10 +122,9 @@ def test_units_are_printed_and_ratios_do_not_depend_on_them():
     runs = [numbers("PID"), numbers("hPID", 2.0)]
     comparison = Comparison(tuple(with_angles_in(run, "deg") for run in runs))
     assert comparison.ratio("hPID", ITAE) == pytest.approx(Comparison(runs).ratio("hPID", ITAE))
-    for text in (table_text(comparison), table_csv(comparison)):
+    for text in (table_text(comparison), table_lines(comparison), table_csv(comparison)):
         assert "deg s^2" in text
         assert "rad" not in text
-    assert r"deg\,s$^2$" in table_latex(comparison)
     with pytest.raises(SeriesError, match="differ in the unit of angles: deg and rad"):
         Comparison((comparison.runs[0], runs[1]))
     with pytest.raises(SeriesError, match="unknown unit of angles 'grad'"):

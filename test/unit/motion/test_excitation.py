@@ -11,8 +11,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.interpolate import BPoly
 
+from hpid_bench.live.exciter import Watch, goal_of, group_settings
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.exciter import Watch, goal_of, group_settings
 from hpid_ros.motion.excitation import (
     Design,
     ExcitationPlan,

@@ -16,16 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.control.assembly import make_law, make_norm, make_velocity_source
-from hpid_ros.control.settings import NormSettings, VelocitySettings
-from hpid_ros.messages.series import JointSeries, Retune, RunSeries
-from hpid_ros.metrics.comparison import Comparison, fold_repeats
-from hpid_ros.metrics.indices import chatter, l2_norm
-from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, gain_signals, norm_over_joints
-from hpid_ros.metrics.results import run_indices
-from hpid_ros.report.figures import PAPER, RUN_STYLES, figures_of, phase_curve
-from hpid_ros.report.plots import (
+from hpid_bench.report.figures import PAPER, RUN_STYLES, figures_of, phase_curve
+from hpid_bench.report.plots import (
     TickLabels,
     drawn,
     figure_style,
@@ -34,6 +26,14 @@ from hpid_ros.report.plots import (
     log_ticks,
     render,
 )
+from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.control.assembly import make_law, make_norm, make_velocity_source
+from hpid_ros.control.settings import NormSettings, VelocitySettings
+from hpid_ros.messages.series import JointSeries, Retune, RunSeries
+from hpid_ros.metrics.comparison import Comparison, fold_repeats
+from hpid_ros.metrics.indices import chatter, l2_norm
+from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, gain_signals, norm_over_joints
+from hpid_ros.metrics.results import run_indices
 
 pytestmark = pytest.mark.slow
 
@@ -364,8 +364,8 @@ def test_drawing_leaves_matplotlib_as_it_was_and_pyplot_alone():
         "import sys, matplotlib\n"
         "before = matplotlib.rcParams.copy()\n"
         "from hpid_ros.metrics import Comparison, JointSeries, RunSeries, run_indices\n"
-        "from hpid_ros.report.figures import figures_of\n"
-        "from hpid_ros.report.plots import drawn, render\n"
+        "from hpid_bench.report.figures import figures_of\n"
+        "from hpid_bench.report.plots import drawn, render\n"
         "run = RunSeries('x', (JointSeries('a', [0, 9], [0, 1], [1, 1], [0, 9], [1, 2]),))\n"
         "numbers = Comparison((run_indices(run),))\n"
         "assert [render(drawn(each, ['x']), 'svg') for each in figures_of(numbers, [run], 100)]\n"

@@ -10,13 +10,13 @@ from harness.runs import response
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from hpid_bench.report.page import render_report
 from hpid_ros.base.text import shown
 from hpid_ros.messages.series import JointSeries, Losses, Retune, RunSeries, SeriesError
 from hpid_ros.metrics.comparison import Comparison, answer
 from hpid_ros.metrics.quantities import GainSignals, Signal
 from hpid_ros.metrics.results import run_indices
-from hpid_ros.report.page import render_report
-from hpid_ros.report.table import format_values
+from hpid_ros.metrics.texts import format_values
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 

@@ -8,10 +8,10 @@ import pytest
 from harness.browser import launched
 from harness.runs import response
 
+from hpid_bench.report.page import render_report
 from hpid_ros.messages.series import Retune
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.results import run_indices
-from hpid_ros.report.page import render_report
 
 pytestmark = pytest.mark.slow
 

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hpid_ros.report.figures import Line
-from hpid_ros.report.page import line_data, script, style_sheet
+from hpid_bench.report.figures import Line
+from hpid_bench.report.page import line_data, script, style_sheet
 
 NODE = Path(playwright.__file__).parent / "driver" / "node"
 BIOME = shutil.which("biome", path=Path(sys.executable).parent) or shutil.which("biome")

@@ -8,17 +8,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.batch import TOTAL, RunTask, WorldKeeper, simulated
+from hpid_bench.experiment.description import load_experiment
+from hpid_bench.experiment.in_process import controllers_document
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.base.files import share_folder
-from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.assembly import soft_stop_gains
 from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.experiment.batch import TOTAL, RunTask, WorldKeeper, simulated
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import controllers_document
 from hpid_ros.motion import Column, Knot
 from hpid_ros.stability.gain_check import check_gains, inertia_of
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from hpid_bench.cli.main import main
 from hpid_ros.base.errors import RobotDescriptionError
-from hpid_ros.cli.main import main
 from hpid_ros.robot.description import RobotDescription
 
 XML = """<robot name="pair" xmlns:drake="http://drake.mit.edu">

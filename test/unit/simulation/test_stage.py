@@ -8,8 +8,8 @@ from harness.examples import examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from hpid_bench.report.film import framed
 from hpid_ros.base.errors import LibraryError, RobotDescriptionError
-from hpid_ros.report.film import framed
 from hpid_ros.robot.shapes import Shape
 from hpid_ros.simulation import stage as stage_module
 from hpid_ros.simulation.stage import FIELD, Stage, View, triangles_of

@@ -24,8 +24,8 @@ from harness.worlds import (
     settings,
 )
 
+from hpid_bench.cli.options import load_robot
 from hpid_ros.base.errors import RobotDescriptionError, RunError, SettingError
-from hpid_ros.cli.options import load_robot
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics

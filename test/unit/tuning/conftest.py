@@ -3,7 +3,7 @@
 import pytest
 from harness.plugins import LOOPS, NAMES, Plugin, compile_plugin, export
 
-from hpid_ros.experiment.in_process import controllers_document
+from hpid_bench.experiment.in_process import controllers_document
 
 
 @pytest.fixture(scope="session")

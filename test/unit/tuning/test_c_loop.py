@@ -12,10 +12,10 @@ from harness.loops import loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.tuning.export import GivenLoop, golden_vectors, in_single
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.joint_loop import LoopState
-from hpid_ros.tuning.export import GivenLoop, golden_vectors, in_single
 
 SETTINGS = loop_settings(gains__p=40.0, gains__i=130.0, gains__d=4.0, mu=-0.2)
 SEEDS = st.integers(0, 2**32)

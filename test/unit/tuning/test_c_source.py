@@ -7,9 +7,9 @@ import pytest
 from harness.c_loops import COMPILER, compile_c, needs_compiler, write_c
 from harness.loops import loop_settings
 
+from hpid_bench.tuning.export import FIELDS, c_files, golden_vectors, require_distinct
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LOOP_PARAMETERS
-from hpid_ros.tuning.export import FIELDS, c_files, golden_vectors, require_distinct
 
 EVERYTHING = {
     **{"gains__p": 39.6, "gains__i": 132.0, "gains__d": 3.96, "mu": -0.2},

@@ -7,8 +7,8 @@ import pytest
 from harness.joints import PERIOD, sines
 from scipy.signal import butter, lfilter
 
+from hpid_bench.tuning.driver_velocity import driver_velocity
 from hpid_ros.simulation.world import VelocityReport
-from hpid_ros.tuning.driver_velocity import driver_velocity
 
 TIME = np.arange(0.0, 8.0, PERIOD)
 TRUE = sines(8.0)

@@ -9,17 +9,17 @@ from harness.engines import shipped
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_bench.cli.main import main
+from hpid_bench.experiment.description import initial_inertias, load_experiment
+from hpid_bench.tuning.autotune import autotuned, effective_delay
+from hpid_bench.tuning.gain_design import RULES, loop_margins, pole_placement, simc
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.base.files import share_folder
-from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
-from hpid_ros.cli.main import main
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.experiment.description import initial_inertias, load_experiment
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.dynamics import wheel_inertias
-from hpid_ros.tuning.autotune import autotuned, effective_delay
-from hpid_ros.tuning.gain_design import RULES, loop_margins, pole_placement, simc
 
 EXPERIMENTS = sorted((share_folder() / "config" / "experiments").glob("*.yaml"))
 inertias = st.floats(1e-4, 10.0)

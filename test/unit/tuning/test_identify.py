@@ -10,13 +10,13 @@ from rich.console import Console
 
 from benchmarks.strange_plants import GRAVITY, PLANTS
 from benchmarks.strange_plants import Motion as MovingPlant
+from hpid_bench.tuning.identification_report import as_mapping, experiment_text, report
+from hpid_bench.tuning.identify import Method, identify
+from hpid_bench.tuning.joint_record import JointRecord
+from hpid_bench.tuning.robot_identification import RobotIdentification
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.motion.generators import minimum_jerk
-from hpid_ros.tuning.identification_report import as_mapping, experiment_text, report
-from hpid_ros.tuning.identify import Method, identify
-from hpid_ros.tuning.joint_record import JointRecord
-from hpid_ros.tuning.robot_identification import RobotIdentification
 
 PID = {
     **{"joint": "arm", "law": "pid", "u_clamp_max": 21.0, "u_clamp_min": -21.0},

@@ -25,11 +25,14 @@ from harness.plugins import (
     run_threads,
 )
 
+from hpid_bench.experiment.in_process import controllers_text
+from hpid_bench.tuning.export import GivenLoop, require_package
+from hpid_bench.tuning.recorded_loops import read_records
+from hpid_bench.tuning.replay import replay_joint
 from hpid_ros.base.errors import GainError, SettingError, TrajectoryError
 from hpid_ros.control import JointLoop
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.reference import LARGEST_POSITION
-from hpid_ros.experiment.in_process import controllers_text
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
@@ -37,9 +40,6 @@ from hpid_ros.stability.certification import check_certificate
 from hpid_ros.stability.closed_loop import Certificate
 from hpid_ros.stability.gain_boxes import _box, _range, gain_ranges
 from hpid_ros.stability.gain_check import CERTIFICATES, certified_degrees, verify
-from hpid_ros.tuning.export import GivenLoop, require_package
-from hpid_ros.tuning.recorded_loops import read_records
-from hpid_ros.tuning.replay import replay_joint
 
 pytestmark = pytest.mark.slow  # it compiles and certifies
 

@@ -5,7 +5,7 @@ import math
 import pytest
 from harness.plugins import LOOPS, MS, NO_STOPS, Cycle, reference_of
 
-from hpid_ros.tuning.export import GivenLoop
+from hpid_bench.tuning.export import GivenLoop
 
 pytestmark = pytest.mark.slow  # it compiles and certifies
 

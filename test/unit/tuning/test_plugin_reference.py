@@ -12,10 +12,10 @@ from harness.streams import SmoothMotion, Stream, anything, draws, played
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_bench.tuning.export import templates
 from hpid_ros.control.following import Following
 from hpid_ros.control.limits import MotionBounds, MotionLimits
 from hpid_ros.control.reference import LARGEST_POSITION
-from hpid_ros.tuning.export import templates
 
 SEEDS = st.integers(0, 2**32)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from harness.joints import PERIOD, Joint, moved, sines
 
-from hpid_ros.tuning.recorded_pid import recorded_answers
-from hpid_ros.tuning.upgrade_prediction import JointFacts, simulate
+from hpid_bench.tuning.recorded_pid import recorded_answers
+from hpid_bench.tuning.upgrade_prediction import JointFacts, simulate
 
 JOINT = Joint()
 URDF = """<robot name="one"><link name="stand"/><link name="arm"><inertial>

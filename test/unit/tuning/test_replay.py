@@ -8,13 +8,8 @@ from harness.loops import pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.base.errors import SettingError
-from hpid_ros.control import JointLoop, LoopSettings
-from hpid_ros.control.overrides import RelayRequest
-from hpid_ros.control.reference import Setpoint
-from hpid_ros.motion import Column, Knot
-from hpid_ros.tuning.recorded_loops import controllers_of
-from hpid_ros.tuning.replay import (
+from hpid_bench.tuning.recorded_loops import controllers_of
+from hpid_bench.tuning.replay import (
     Instruction,
     JointRecord,
     RecordedCommand,
@@ -24,6 +19,11 @@ from hpid_ros.tuning.replay import (
     replay_joint,
     retuned,
 )
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control.overrides import RelayRequest
+from hpid_ros.control.reference import Setpoint
+from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000
 SETTINGS = pure_loop(

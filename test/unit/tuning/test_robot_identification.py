@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from harness.motions import Plant, motion, needed
 
+from hpid_bench.tuning.robot_identification import identify_robot
 from hpid_ros.messages.series import DataQuality, JointSeries, RecordingQuality, RunSeries
-from hpid_ros.tuning.robot_identification import identify_robot
 
 TIMES = np.arange(0.0, 8.0, 2e-3)
 PLANT = Plant(delay=0.0)

@@ -3,13 +3,18 @@
 import numpy as np
 import pytest
 
+from hpid_bench.tuning.identify import JointIdentification
+from hpid_bench.tuning.regression import Estimate
+from hpid_bench.tuning.upgrade_from_bag import (
+    _NoiseSearch,
+    pid_margins,
+    position_noise,
+    robot_model,
+)
+from hpid_bench.tuning.upgrade_prediction import JointFacts
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.series import JointSeries
 from hpid_ros.robot.description import GivenRobot, RobotDescription
-from hpid_ros.tuning.identify import JointIdentification
-from hpid_ros.tuning.regression import Estimate
-from hpid_ros.tuning.upgrade_from_bag import _NoiseSearch, pid_margins, position_noise, robot_model
-from hpid_ros.tuning.upgrade_prediction import JointFacts
 
 PERIOD = 2e-3
 TIMES = np.arange(0.0, 8.0, PERIOD)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from harness.places import URDF
 
+from hpid_bench.tuning.recorded_pid import recorded_motion
+from hpid_bench.tuning.upgrade_prediction import Expected, Prediction, read_prediction, simulate
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.series import JointSeries
-from hpid_ros.tuning.recorded_pid import recorded_motion
-from hpid_ros.tuning.upgrade_prediction import Expected, Prediction, read_prediction, simulate
 
 MOVING = {key: Expected(4.0, 0.5, 1.1, 0.2) for key in ("ivc", "iavc", "itae")}
 

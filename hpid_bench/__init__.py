@@ -1,0 +1,1 @@
+"""What compares, identifies, certifies, tunes and shows: hpid_ros drives the robot."""
