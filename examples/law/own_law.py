@@ -1,7 +1,9 @@
 """A law of one's own: the PID with Clegg's integrator, which empties when the error changes sign.
 
-A law is an object with ``update(error, error_rate, dt) -> effort`` and a few more methods that it
-has from ``Pid``. Here it drives a unit double integrator beside the PID with the same gains.
+A law is an object with ``answer(error, error_rate, dt)``, which returns its proportional and
+derivative terms and the increment of its integral, and a few more methods that it has from
+``Pid``: ``update`` takes the increment and returns the effort. Here it drives a unit double
+integrator beside the PID with the same gains.
 
 Source: J. C. Clegg, A nonlinear integrator for servomechanisms, 1958.
 """
@@ -21,12 +23,12 @@ class CleggPid(Pid):
         super().__init__(gains)
         self._last_error = 0.0
 
-    def update(self, error, error_rate, dt):
-        """Take one sample; the arguments are those of ``Pid.update``."""
+    def answer(self, error, error_rate, dt):
+        """Return what a sample gives; the arguments are those of ``Pid.answer``."""
         if error * self._last_error < 0.0:
             self.restore_integral(0.0)
         self._last_error = error
-        return super().update(error, error_rate, dt)
+        return super().answer(error, error_rate, dt)
 
 
 def response(law, start=1.0):

@@ -386,7 +386,7 @@ def _place(each: RecordedState | RecordedCommand | Instruction) -> int:
 
 def _step(sample: JointSample, asked: AskedReference, loop: JointLoop) -> float:
     if asked.samples:
-        if not loop.has_motion:
+        if loop.following.motion is None:
             loop.follow(asked)
         if not asked.is_usable(sample.stamp_ns):
             return loop.reject(sample.stamp_ns, "the reference")

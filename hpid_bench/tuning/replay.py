@@ -63,7 +63,7 @@ def following(motion: Motion) -> Callable[[JointLoop], None]:
 
     def follow(loop: JointLoop) -> None:
         with contextlib.suppress(TrajectoryError):
-            loop.receive(motion, carries_on=not loop.has_motion)
+            loop.receive(motion, carries_on=loop.following.motion is None)
 
     return follow
 
@@ -302,7 +302,9 @@ class _Replay:
         self._log_time_ns, self._last_stamp_ns = state.log_time_ns, state.stamp_ns
 
     def _is_last_zero(self, command: RecordedCommand) -> bool:
-        return command.effort == 0.0 and all(each.loop.effort != 0.0 for each in self._branches)
+        return command.effort == 0.0 and all(
+            each.loop.law.effort != 0.0 for each in self._branches
+        )
 
     def _pass_over(self, index: int, state: RecordedState) -> None:
         """Take a state that nothing answers: it was not received, or the command was lost."""
@@ -332,7 +334,7 @@ class _Replay:
         branches = self._expanded(index)
         silence = state.log_time_ns - (self._log_time_ns or state.log_time_ns)
         timeout = self._branches[0].loop.settings.timing.state_timeout
-        if silence > timeout * NANOSECONDS and self._branches[0].loop.stamp_ns is not None:
+        if silence > timeout * NANOSECONDS and self._branches[0].loop.state.stamp_ns is not None:
             text = "the controller was stopped, or busy, for longer than state_timeout"
             woken = [branch.copy(2.0, text) for branch in branches]
             for branch in woken:
@@ -344,7 +346,7 @@ class _Replay:
             waiting = [branch.copy(2.0, _WAITED) for branch in branches]
         for branch in waiting:
             branch.loop.note_unanswered()
-            branch.effort = branch.loop.effort
+            branch.effort = branch.loop.law.effort
         for branch in branches:
             branch.effort = state.answer(branch.loop)
         branches += waiting
@@ -433,7 +435,7 @@ class _Replay:
             instruction.what(branch.loop)
         except HpidError as error:
             branch.notes = (*branch.notes, f"{instruction.text} was left out: {error}")
-        stamp_ns = branch.loop.stamp_ns
+        stamp_ns = branch.loop.state.stamp_ns
         if stamp_ns is not None and stamp_ns >= self._happened[0]:
             self._happened = stamp_ns, instruction.text
 

@@ -195,6 +195,11 @@ class Following:
         self.restart()
 
     @property
+    def reference(self) -> tuple[float, float]:
+        """Position [rad] and velocity [rad/s] of the last sample."""
+        return self.position, self.velocity
+
+    @property
     def has_reference(self) -> bool:
         """Whether there is a reference; the first state makes one."""
         return self._reference is not None

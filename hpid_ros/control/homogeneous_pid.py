@@ -84,12 +84,11 @@ class Pid:
         gains: The gains.
     """
 
-    __slots__ = ("_derivative", "_integral", "_integral_used", "_proportional", "gains")
+    __slots__ = ("_answer", "_integral", "_integral_used", "gains")
 
     _integral: float
     _integral_used: float
-    _proportional: float
-    _derivative: float
+    _answer: tuple[float, float, float]
 
     def __init__(self, gains: Gains) -> None:
         self.gains = gains
@@ -103,7 +102,8 @@ class Pid:
     @property
     def terms(self) -> Terms:
         """The terms of the last sample."""
-        return Terms(self._proportional, self._integral_used, self._derivative)
+        proportional, derivative, _ = self._answer
+        return Terms(proportional, self._integral_used, derivative)
 
     def update(self, error: float, error_rate: float, dt: float) -> float:
         """Take one sample.
@@ -116,28 +116,31 @@ class Pid:
         Returns:
             The effort in [N m], with the integral before this sample's increment.
         """
-        gains, integral = self.gains, self._integral
-        proportional = gains.p * error
-        derivative = gains.d * error_rate
-        self._proportional = proportional
-        self._derivative = derivative
-        self._integral_used = integral
-        self._integral = integral + dt * (gains.i * error)
+        self._answer = answer = self.answer(error, error_rate, dt)
+        proportional, derivative, increment = answer
+        self._integral_used = integral = self._integral
+        self._integral = integral + increment
         return proportional + derivative + integral
+
+    def answer(self, error: float, error_rate: float, dt: float) -> tuple[float, float, float]:
+        """Return what a sample gives, and integrate nothing.
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+            dt: Time over which the error is integrated, in [s].
+
+        Returns:
+            The proportional and the derivative term, and the increment of the integral term,
+            each in [N m].
+        """
+        gains = self.gains
+        return gains.p * error, gains.d * error_rate, dt * (gains.i * error)
 
     def reset(self) -> None:
         """Forget the integral and the last terms."""
         self._integral = self._integral_used = 0.0
-        self._proportional = self._derivative = 0.0
-
-    def continue_from(self, other: Pid) -> None:
-        """Go on with another law's integral and last terms.
-
-        Args:
-            other: The law until now.
-        """
-        self._integral, self._integral_used = other._integral, other._integral_used
-        self._proportional, self._derivative = other._proportional, other._derivative
+        self._answer = 0.0, 0.0, 0.0
 
     def restore_integral(self, integral: float) -> None:
         """Replace the integral term, as anti-windup and a change of law do.
@@ -216,8 +219,8 @@ class HomogeneousPid(Pid):
         n = min(max(self.norm(error, error_rate), self.norm_floor), self.norm_cap)
         return min(n**self._degree, _LARGEST_MULTIPLIER) if n else self._at_zero
 
-    def update(self, error: float, error_rate: float, dt: float) -> float:
-        """Take one sample.
+    def answer(self, error: float, error_rate: float, dt: float) -> tuple[float, float, float]:
+        """Return what a sample gives, and integrate nothing.
 
         Args:
             error: Reference minus measured position, in [rad].
@@ -225,7 +228,8 @@ class HomogeneousPid(Pid):
             dt: Time over which the error is integrated, in [s].
 
         Returns:
-            The effort in [N m], with the integral before this sample's increment.
+            The proportional and the derivative term, and the increment of the integral term,
+            each in [N m].
         """
         # The weighted norm and the multiplier are written out: in Python the calls would cost as
         # much as all the arithmetic.
@@ -242,13 +246,13 @@ class HomogeneousPid(Pid):
         multiplier = n**self._degree if n else self._at_zero
         if multiplier > _LARGEST_MULTIPLIER:
             multiplier = _LARGEST_MULTIPLIER
-        gains, integral = self.gains, self._integral
+        gains = self.gains
         square = multiplier * multiplier
-        self._proportional = proportional = gains.p * square * error
-        self._derivative = derivative = gains.d * multiplier * error_rate
-        self._integral_used = integral
-        self._integral = integral + dt * (gains.i * (square * multiplier) * error)
-        return proportional + derivative + integral
+        return (
+            gains.p * square * error,
+            gains.d * multiplier * error_rate,
+            dt * (gains.i * (square * multiplier) * error),
+        )
 
 
 class SemiImplicitHomogeneousPid(HomogeneousPid):
@@ -286,9 +290,9 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
         self.inertia, self.period = inertia, period
         super().__init__(gains, norm, norm_floor, norm_cap)
 
-    def update(self, error: float, error_rate: float, dt: float) -> float:
-        """Take one sample."""
-        gains, integral = self.gains, self._integral
+    def answer(self, error: float, error_rate: float, dt: float) -> tuple[float, float, float]:
+        """Return both terms and the integral's increment; see :meth:`Pid.answer`."""
+        gains = self.gains
         multiplier = self.multiplier(error, error_rate)
         square = multiplier * multiplier
         stiffness = gains.p * square
@@ -296,9 +300,9 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
         period = self.period
         moved = period / self.inertia
         divisor = 1.0 + moved * (damping + period * stiffness)
-        self._proportional = proportional = stiffness * error / divisor
-        self._derivative = derivative = (damping + period * stiffness) * error_rate / divisor
-        self._integral_used = integral
         error_after = ((1.0 + moved * damping) * error + period * error_rate) / divisor
-        self._integral = integral + dt * (gains.i * (square * multiplier) * error_after)
-        return proportional + derivative + integral
+        return (
+            stiffness * error / divisor,
+            (damping + period * stiffness) * error_rate / divisor,
+            dt * (gains.i * (square * multiplier) * error_after),
+        )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 
 from hpid_ros.base.errors import EndedError, SettingError, TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
@@ -17,8 +16,17 @@ from hpid_ros.control.assembly import (
 )
 from hpid_ros.control.estimation import Estimation
 from hpid_ros.control.following import Following
-from hpid_ros.control.homogeneous_pid import Terms
-from hpid_ros.control.limited_law import LimitedLaw
+from hpid_ros.control.limited_law import LawSample, LimitedLaw
+from hpid_ros.control.loop_state import (
+    ANSWERED,
+    NEXT,
+    LoopMode,
+    LoopState,
+    Outlier,
+    StateKind,
+    StateRules,
+    kind_of_state,
+)
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, relay_obstacle
 from hpid_ros.control.reference import (
@@ -31,33 +39,6 @@ from hpid_ros.control.reference import (
 )
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.sources import SourceWatch
-
-
-class LoopState(Enum):
-    """What a loop is doing.
-
-    =====================  ====================================================================
-    event                  next state
-    =====================  ====================================================================
-    usable state           HOLDING, or FOLLOWING where there is a motion
-    state refused          FAULT, SILENT stays SILENT; the first jump of a position changes none
-    ``note_timeout``       SILENT
-    two sources of states  CONFLICT, until one of them has ended: then a takeover
-    ``reset``              WAITING: the next usable state is the first; so after a simulated clock
-                           went back
-    =====================  ====================================================================
-
-    Beside it one flag, ``JointLoop._is_takeover_due``: the next usable state is a takeover. Set by
-    ``supersede``, both timeouts (of a wall clock), a gap between stamps, a wall clock that was set
-    back and a jump that was confirmed; cleared by the usable state and by ``reset``.
-    """
-
-    WAITING = "waiting for the first state"
-    HOLDING = "holding its position"
-    FOLLOWING = "following a reference"
-    FAULT = "the last state could not be used"
-    SILENT = "no new state within state_timeout"
-    CONFLICT = "its states come from two sources"
 
 
 @dataclass
@@ -82,8 +63,20 @@ _NO_MODEL = ModelTerm(1.0, 0.0)
 _LATE = 1.5  # control periods between two states; beyond it at least one was lost
 
 
+def _unusable_numbers(position: float, velocity: float | None) -> str:
+    """Say what is wrong with a state whose position or velocity cannot be used."""
+    reason = f"position {position} rad, velocity {velocity} rad/s"
+    if -LARGEST_POSITION <= position <= LARGEST_POSITION:
+        reason += "; velocity_source filtered does without velocities"
+    return reason
+
+
 class JointLoop:
     """The control of one joint, without ROS, files or clocks.
+
+    What it gave and used last is read from its parts: ``law`` (``effort``, ``integral``,
+    ``terms``), ``following`` (``reference``, ``motion``), ``estimation`` (``velocity``),
+    ``feedforward`` (``effort``), ``state`` (``mode``, ``stamp_ns``) and ``counts``.
 
     Time enters with the stamps of the states alone: equal stamps are a repeat, which gets the
     active effort again; stamps that go back reset the loop if its clock is simulated. Until it is
@@ -115,12 +108,12 @@ class JointLoop:
         """The last relay that there was, for what became of it."""
         self.error = 0.0
         """Reference minus position of the last sample in [rad]; an observer's, if there is one."""
-        self._following = Following()
-        self._estimation = Estimation(settings)
-        self._law = LimitedLaw(settings)
-        self._feedforward = Feedforward(feedforward_gains(settings))
+        self.following = Following()
+        self.estimation = Estimation(settings)
+        self.law = LimitedLaw(settings)
+        self.feedforward = Feedforward(feedforward_gains(settings))
+        self.sources = SourceWatch(bounds_of_source(settings))
         self._unwrapper = make_unwrapper(settings.encoder)
-        self._sources = SourceWatch(bounds_of_source(settings))
         self._adopt(settings)
         self.reset()
 
@@ -129,10 +122,17 @@ class JointLoop:
         self.settings, self._timing = settings, settings.timing
         self._takeover_time = settings.timing.takeover_time
         self._uses_velocity = settings.velocity.is_measured
-        self._step_max, self._speed_max = largest_step(settings)
-        self._sources.adopt(bounds_of_source(settings))
-        self._following.turn = turn_of_references(settings)
-        self._following.encoder_turn = max(settings.encoder.wrap, 0.0)
+        step_max, speed_max = largest_step(settings)
+        self._rules = StateRules(
+            timeout=settings.timing.state_timeout,
+            is_simulated=settings.timing.is_simulated,
+            step_max=step_max,
+            speed_max=speed_max,
+            turn=settings.encoder.wrap if settings.encoder.wrap > 0.0 else math.inf,
+        )
+        self.sources.adopt(bounds_of_source(settings))
+        self.following.turn = turn_of_references(settings)
+        self.following.encoder_turn = max(settings.encoder.wrap, 0.0)
 
     def begin_with(self, integral: float) -> None:
         """Begin with an integral term, as of a loop that ran before.
@@ -140,7 +140,7 @@ class JointLoop:
         Args:
             integral: In [N m]; held to its limits.
         """
-        self._law.restore_integral(integral)
+        self.law.restore_integral(integral)
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it again.
@@ -149,7 +149,7 @@ class JointLoop:
             motion: A trajectory's column, or a :class:`Setpoint`.
         """
         self.end_relay("a reference came")
-        self._following.follow(motion)
+        self.following.follow(motion)
 
     def receive(self, motion: Motion, *, carries_on: bool = False) -> None:
         """Follow a motion that was received from outside.
@@ -169,23 +169,24 @@ class JointLoop:
             if not carries_on:
                 raise
         self.follow(motion)
-        self._following.has_waited = self.stamp_ns is None and isinstance(motion, Setpoint)
+        has_begun = self.state.stamp_ns is not None
+        self.following.has_waited = isinstance(motion, Setpoint) and not has_begun
 
     def _require_timely(self, motion: Motion) -> None:
         """Refuse a motion of another time; a stamp that is not believed yet may tell it, too."""
-        window_ns = motion.window_ns
-        if window_ns is None or self.stamp_ns is None:
+        window_ns, state = motion.window_ns, self.state
+        if window_ns is None or state.stamp_ns is None:
             return
         try:
-            require_timely("the trajectory", window_ns, self.stamp_ns, GRACE_NS)
+            require_timely("the trajectory", window_ns, state.stamp_ns, GRACE_NS)
         except TrajectoryError:
-            if self._refused_ns is None:
+            if state.refused_ns is None:
                 raise
-            require_timely("the trajectory", window_ns, self._refused_ns, GRACE_NS)
+            require_timely("the trajectory", window_ns, state.refused_ns, GRACE_NS)
 
     @property
     def _window_ns(self) -> tuple[int, int] | None:
-        motion = self._following.motion
+        motion = self.following.motion
         return None if motion is None else motion.window_ns
 
     def _drop_earlier_motion(self, stamp_ns: int) -> None:
@@ -197,7 +198,7 @@ class JointLoop:
         window_ns, timeout = self._window_ns, self._timing.state_timeout
         if window_ns is not None and window_ns[0] > stamp_ns + timeout * NANOSECONDS:
             begin, start = (each * SECONDS_PER_NANOSECOND for each in (stamp_ns, window_ns[0]))
-            self._following.follow(None)
+            self.following.follow(None)
             self.dropped = (
                 f"the clock of the states went back to {begin:.3f} s: the trajectory that starts "
                 f"at {start:.3f} s is from before that"
@@ -213,7 +214,7 @@ class JointLoop:
         except EndedError:
             pass  # a controller that was started again carries on
         except TrajectoryError as error:
-            self._following.follow(None)
+            self.following.follow(None)
             self.dropped = str(error)
 
     def begin_relay(self, request: RelayRequest) -> None:
@@ -229,19 +230,19 @@ class JointLoop:
             SettingError: The joint is not held at rest, is too near to its effort limits, or the
                 law has nothing to hold it by.
         """
-        law, gains, against = self._law, self.settings.gains, ""
-        speed = abs(self._estimation.velocity)
+        law, gains, against = self.law, self.settings.gains, ""
+        state, speed = self.state, abs(self.estimation.velocity)
         if law.relay is not None:
             against = "there is one already"
-        elif self.state not in (LoopState.HOLDING, LoopState.FOLLOWING):
-            against = self.state.value
-        elif self._is_takeover_due:
+        elif state.mode not in (LoopMode.HOLDING, LoopMode.FOLLOWING):
+            against = state.mode.value
+        elif state.is_takeover_due:
             against = "the joint is to be taken over first"
-        elif self._following.velocity or self._following.acceleration:
+        elif self.following.velocity or self.following.acceleration:
             against = "the reference moves"
         elif law.model_gain * gains.d * speed > request.amplitude:
             against = f"the joint moves at {speed:.3g} rad/s"
-        load = law.integral + law.model_effort + self._feedforward.effort
+        load = law.integral + law.model_effort + self.feedforward.effort
         against = against or relay_obstacle(request, gains, self.settings.effort, load, self.error)
         if against:
             raise SettingError(f"no relay now: {against}")
@@ -253,14 +254,14 @@ class JointLoop:
         Args:
             reason: Why.
         """
-        if self._law.relay is not None:
-            self._law.relay.end(reason)
+        if self.law.relay is not None:
+            self.law.relay.end(reason)
 
     def _drop_relay(self, reason: str) -> None:
         """End a relay at once, without another effort: the caller decides about that."""
-        if self._law.relay is not None:
-            self._law.relay.drop(reason)
-            self._law.relay = None
+        if self.law.relay is not None:
+            self.law.relay.drop(reason)
+            self.law.relay = None
 
     def retune(self, settings: LoopSettings) -> None:
         """Apply other settings from the next sample on, as a whole.
@@ -284,15 +285,15 @@ class JointLoop:
             raise SettingError("compensation and its model cannot change while the loop runs")
         settings.norm_family(settings.degree)  # raises before anything has changed
         self.end_relay("parameters were set")
-        law, estimation, following = self._law, self._estimation, self._following
-        effort = law.effort
+        law, estimation, following = self.law, self.estimation, self.following
+        state, effort = self.state, law.effort
         # The observer first: it goes on under what was sent by the law until now.
-        position = None if self.stamp_ns is None else self._position
+        position = None if state.stamp_ns is None else state.position
         estimation.retune(settings, position, law.driving_effort, law.model_gain)
         kept = law.retune(settings, None if position is None else (position, estimation.velocity))
         less = estimation.recompute_opposing(law.model_gain)
         law.reduce_model_effort(less)
-        change = self._feedforward.retune(
+        change = self.feedforward.retune(
             feedforward_gains(settings), following.velocity, following.acceleration
         )
         if settings.encoder.wrap != before.encoder.wrap:
@@ -304,37 +305,30 @@ class JointLoop:
         if change != less:
             kept -= law.absorb_added_effort(change - less)
         if kept:
-            self._feedforward.keep(kept, self.stamp_ns or 0, self._takeover_time)
+            self.feedforward.keep(kept, state.stamp_ns or 0, self._takeover_time)
         if self.is_on_fallback and effort == before.effort.fallback:
             law.override_effort(settings.effort.fallback)
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion again with the next state."""
-        self._sources.reset()
+        self.sources.reset()
         self._restart()
 
     def _restart(self) -> None:
         """Reset, but for what is known of the sources of the states: the next may be another's."""
         self._drop_relay("the loop began again")
-        self._law.reset()
-        self._estimation.reset()
-        self._feedforward.reset()
-        self._following.restart()
+        self.law.reset()
+        self.estimation.reset()
+        self.feedforward.reset()
+        self.following.restart()
         self.error = 0.0
         if self._unwrapper is not None:
             self._unwrapper.reset()
-        self.stamp_ns: int | None = None
-        """Stamp of the last usable state in [ns]; None before the first one."""
-        self._refused_ns: int | None = None  # stamp of the last state, where it was not usable
-        self._refused_count = 0  # states since the last usable one
-        self._position = 0.0
-        self.state = LoopState.WAITING
-        self._is_takeover_due = False
-        self._outlier: tuple[int, float] | None = None
+        self.state = LoopState()
 
     def release(self) -> None:
         """Forget everything, the motion too: the next state is the first, and is held."""
-        self._following.follow(None)
+        self.following.follow(None)
         self.reset()
 
     def note_timeout(self) -> float:
@@ -348,7 +342,7 @@ class JointLoop:
         Returns:
             ``fallback_effort``, within the effort limits, in [N m].
         """
-        self.state = LoopState.SILENT
+        self.state.mode = LoopMode.SILENT
         self._drop_relay("no state came")
         self.counts.silences += 1
         if not self._timing.is_simulated:
@@ -363,7 +357,8 @@ class JointLoop:
         self.counts.silences += 1
         self._drop_relay("no state came")
         if not self._timing.is_simulated:
-            self.supersede(self._law.effort)
+            self.state.is_takeover_due = True
+            self.law.disown_effort()
 
     def supersede(self, effort: float) -> None:
         """Note that the joint was given another effort: the next state is a takeover from it.
@@ -372,39 +367,17 @@ class JointLoop:
             effort: In [N m]; ``fallback_effort`` is taken for one that is not finite.
         """
         self._drop_relay("the joint was given another effort")
-        self._is_takeover_due = True
+        self.state.is_takeover_due = True
         fallback = self.settings.effort.fallback
-        self._law.override_effort(effort if math.isfinite(effort) else fallback)
+        self.law.override_effort(effort if math.isfinite(effort) else fallback)
 
     @property
     def is_on_fallback(self) -> bool:
         """Whether the active effort is ``fallback_effort``, for want of a usable state."""
-        if self.state is LoopState.SILENT:
+        mode = self.state.mode
+        if mode is LoopMode.SILENT:
             return not self._timing.is_simulated
-        return self.state in (LoopState.FAULT, LoopState.CONFLICT)
-
-    @property
-    def conflict(self) -> str:
-        """Where the joint is by two sources of states; empty while there is one source."""
-        if not self._sources.is_split:
-            return ""
-        one, other = self._sources.positions
-        return f"one says {one:.4g} rad, one {other:.4g} rad"
-
-    @property
-    def velocity_origin(self) -> str:
-        """Where the velocity of the last sample came from."""
-        return self._estimation.origin
-
-    @property
-    def velocity_warning(self) -> str:
-        """What speaks against the velocities of the states; empty if nothing does."""
-        return self._estimation.warning
-
-    @property
-    def estimate(self) -> tuple[float, float, float] | None:
-        """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
-        return self._estimation.observer_state(self._law.model_gain)
+        return mode in (LoopMode.FAULT, LoopMode.CONFLICT)
 
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
@@ -412,19 +385,19 @@ class JointLoop:
         Args:
             duration: In [s], positive.
         """
-        law, settings = self._law, self.settings
+        law, settings, state = self.law, self.settings, self.state
         return DampingStop(
             damping=law.model_gain * settings.gains.d,
-            velocity=self._estimation.velocity_source_for_stop(self._position),
+            velocity=self.estimation.velocity_source_for_stop(state.position),
             uses_velocity=self._uses_velocity,
             limits=law.limits,
             clamp=settings.effort,
             effort=law.effort,
-            stamp_ns=self.stamp_ns or 0,
-            position=self._position,
+            stamp_ns=state.stamp_ns or 0,
+            position=state.position,
             unwrapper=self._unwrapper,
-            step_max=self._step_max,
-            speed_max=self._speed_max,
+            step_max=self._rules.step_max,
+            speed_max=self._rules.speed_max,
             duration=duration,
         )
 
@@ -448,56 +421,38 @@ class JointLoop:
             The effort in [N m]: finite, within the limits, and the fallback when the state is
             not finite.
         """
-        law, timing = self._law, self._timing
-        before_ns = self.stamp_ns
         is_place = -LARGEST_POSITION <= position <= LARGEST_POSITION
-        if is_place and self._sources.take(stamp_ns, position):
-            return self._refuse_both(stamp_ns)
-        if stamp_ns == before_ns or stamp_ns == self._refused_ns:
-            self.counts.repeats += 1
-            return law.effort
+        is_split = is_place and self.sources.take(stamp_ns, position)
         if not self._uses_velocity:
             velocity = None
-        if not (
-            is_place and (velocity is None or -LARGEST_POSITION <= velocity <= LARGEST_POSITION)
-        ):
-            reason = f"position {position} rad, velocity {velocity} rad/s"
-            if is_place:
-                reason += "; velocity_source filtered does without velocities"
-            return self.reject(stamp_ns, reason)
-        dt = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
-        is_next = 0.0 < dt <= timing.state_timeout
-        is_odd = dt > timing.state_timeout or (dt < 0.0 and not timing.is_simulated)
-        if is_odd and not self._has_come_before(stamp_ns):
-            return self._pass_over(stamp_ns, dt)
-        if not is_next:
-            self._interrupt(stamp_ns, dt)
+        continuous = None  # the position with the encoder's turns, of a state that can be used
+        if is_place and (velocity is None or -LARGEST_POSITION <= velocity <= LARGEST_POSITION):
+            unwrapper = self._unwrapper
+            continuous = position if unwrapper is None else unwrapper.continuous(position)
+        last_ns = self.state.stamp_ns
+        kind = kind_of_state(stamp_ns, continuous, is_split, self.state, self._rules)
+        if kind is not NEXT:
+            if kind not in ANSWERED:
+                return self._leave(kind, stamp_ns, position, velocity, continuous)
+            self._interrupt(kind, stamp_ns)
         if self._unwrapper is not None:
             position = self._unwrapper.update(position)
-            if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
-                return self.reject(stamp_ns, f"position {position} rad with its turns")
-        allowed = self._step_max + self._speed_max * dt
-        has_jumped = is_next and abs(position - self._position) > allowed
-        if has_jumped and not self._is_takeover_due:
-            if not self._is_where_it_jumped(stamp_ns, position):
-                return self._reject_jump(stamp_ns, position, dt)
-            self._is_takeover_due = True
-        self._outlier = None
-        self._position = position
+        state = self.state  # another one after a reset
+        state.position, state.outlier = position, None
         is_takeover = False
-        if self._is_takeover_due or not self._following.has_reference:
+        if state.is_takeover_due or not self.following.has_reference:
             is_takeover = self._begin(stamp_ns, position)
+        since = 0.0 if last_ns is None else (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
+        dt = since if kind is NEXT or kind is StateKind.MOVED else 0.0
         try:
-            effort = self._answer(
-                stamp_ns, position, velocity, dt if is_next else 0.0, model, is_takeover
-            )
+            effort = self._answer(stamp_ns, position, velocity, dt, model, is_takeover)
         except ArithmeticError as fault:
             self.last_fault = str(fault)
             self._skip(stamp_ns)
             return self._fault()
-        self.state = LoopState.FOLLOWING if self.has_motion else LoopState.HOLDING
-        self._count(dt)
-        self.stamp_ns, self._refused_ns, self._refused_count = stamp_ns, None, 0
+        self._count(since)
+        has_motion = self.following.motion is not None
+        state.answer(stamp_ns, LoopMode.FOLLOWING if has_motion else LoopMode.HOLDING)
         return effort
 
     def _answer(
@@ -513,42 +468,45 @@ class JointLoop:
 
         After a gap, as for the first state, ``dt`` is 0.
         """
-        law, following, estimation = self._law, self._following, self._estimation
-        if estimation.has_observer:
+        law, following, estimation = self.law, self.following, self.estimation
+        has_observer = estimation.has_observer
+        if has_observer:
             estimation.note_applied(law.driving_effort, law.model_gain)
         estimation.update(position, velocity, dt)
-        if estimation.opposes_disturbance:
+        if has_observer and estimation.opposes_disturbance:
             alone = model or _NO_MODEL
             model = alone._replace(effort=alone.effort + estimation.oppose(alone.gain))
         wanted, rate, acceleration = following.sample(stamp_ns, self._takeover_time, law.limits)
         if rate and law.relay is not None:
             law.relay.end("the reference moves")
         feedforward = 0.0
-        if self._feedforward.is_active or following.gives_effort:
+        if self.feedforward.is_active or following.gives_effort:
             feedforward = self._reference_effort(stamp_ns, is_takeover=is_takeover)
         if is_takeover:
             left = law.take_over(
                 model=model,
-                feedforward=self._feedforward.steady_effort,
+                feedforward=self.feedforward.steady_effort,
                 is_next=dt > 0.0,
             )
             if left:
-                self._feedforward.keep(left, stamp_ns, self._takeover_time)
+                self.feedforward.keep(left, stamp_ns, self._takeover_time)
                 feedforward += left
         self.error = error = wanted - estimation.position
-        if self._refused_ns is not None:
+        if self.state.refused_ns is not None:
             # The errors between were not seen: they are not integrated.
             dt = min(dt, self._timing.control_period)
         try:
             return law.update(
-                error,
-                rate - estimation.velocity,
-                dt,
-                position=position,
-                velocity=estimation.velocity,
-                model=model,
-                acceleration=acceleration,
-                feedforward=feedforward,
+                LawSample(
+                    error,
+                    rate - estimation.velocity,
+                    dt,
+                    position,
+                    estimation.velocity,
+                    acceleration,
+                    feedforward,
+                    model,
+                )
             )
         except ArithmeticError:
             estimation.forget_velocity()
@@ -558,18 +516,20 @@ class JointLoop:
         """Count a usable state, so long after the one before, and those lost between them."""
         counts, timing = self.counts, self._timing
         counts.samples += 1
-        counts.saturated += self._law.is_saturated
+        counts.saturated += self.law.is_saturated
         if dt > _LATE * timing.control_period:
-            counts.missed += max(round(dt / timing.control_period) - 1 - self._refused_count, 0)
+            counts.missed += max(
+                round(dt / timing.control_period) - 1 - self.state.refused_count, 0
+            )
 
     def _reference_effort(self, stamp_ns: int, *, is_takeover: bool) -> float:
         """Return the effort that the reference of this sample needs, in [N m]."""
-        forward, following = self._feedforward, self._following
+        forward, following = self.feedforward, self.following
         planned = following.effort(stamp_ns)
         if is_takeover:
             forward.reset()
         elif following.has_new_motion:
-            left = self._law.absorb_added_effort(forward.change_by(planned))
+            left = self.law.absorb_added_effort(forward.change_by(planned))
             if left:
                 forward.keep(-left, stamp_ns, self._takeover_time)
         following.has_new_motion = False
@@ -586,116 +546,123 @@ class JointLoop:
             ``fallback_effort``, within the effort limits, in [N m]; for a repeat the active
             effort.
         """
-        if stamp_ns in (self.stamp_ns, self._refused_ns):
+        if self.state.is_repeat(stamp_ns):
             self.counts.repeats += 1
-            return self._law.effort
+            return self.law.effort
         self.last_fault = reason
         self._skip(stamp_ns)
         return self._fault()
 
     def _skip(self, stamp_ns: int) -> None:
-        """Pass over a state that cannot be used; the observer goes on under the effort sent."""
-        if self.stamp_ns is not None:
-            last_ns = self.stamp_ns if self._refused_ns is None else self._refused_ns
+        """Pass over a state that the law does not answer; the observer goes on without it."""
+        state = self.state
+        if state.stamp_ns is not None:
+            last_ns = state.stamp_ns if state.refused_ns is None else state.refused_ns
             dt = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
             if 0.0 < dt <= self._timing.state_timeout:
-                self._estimation.note_applied(self._law.driving_effort, self._law.model_gain)
-                self._estimation.coast(dt)
-        self._refused_ns = stamp_ns
-        self._refused_count += 1
+                self.estimation.note_applied(self.law.driving_effort, self.law.model_gain)
+                self.estimation.coast(dt)
+        state.refuse(stamp_ns)
 
     def _fault(self) -> float:
         self._drop_relay("a state could not be used")
         self.counts.rejected += 1
-        if self.state is not LoopState.SILENT:
-            self.state = LoopState.FAULT
-        self._law.override_effort(self.settings.effort.fallback)
-        return self._law.effort
+        if self.state.mode is not LoopMode.SILENT:
+            self.state.mode = LoopMode.FAULT
+        self.law.override_effort(self.settings.effort.fallback)
+        return self.law.effort
+
+    def _leave(
+        self,
+        kind: StateKind,
+        stamp_ns: int,
+        position: float,
+        velocity: float | None,
+        continuous: float | None,
+    ) -> float:
+        """Return the effort for a state that the law does not answer."""
+        if kind is StateKind.REPEAT:
+            self.counts.repeats += 1
+            return self.law.effort
+        if kind is StateKind.CONFLICT:
+            return self._refuse_both(stamp_ns)
+        if continuous is None:
+            return self.reject(stamp_ns, _unusable_numbers(position, velocity))
+        if kind is StateKind.UNUSABLE:
+            assert self._unwrapper is not None
+            self._unwrapper.update(position)  # the encoder was there
+            return self.reject(stamp_ns, f"position {continuous} rad with its turns")
+        if kind is StateKind.LATE or kind is StateKind.EARLIER:
+            return self._pass_over_stamp(kind, stamp_ns)
+        return self._refuse_jump(kind, stamp_ns, continuous)
 
     def _refuse_both(self, stamp_ns: int) -> float:
         """Answer a state of one of two sources: which of them is true cannot be told."""
-        if self.state is not LoopState.CONFLICT:
+        if self.state.mode is not LoopMode.CONFLICT:
             self.counts.conflicts += 1
-            self.state = LoopState.CONFLICT
+            self.state.mode = LoopMode.CONFLICT
             self.supersede(self.settings.effort.fallback)
-        self.last_fault = f"two sources: {self.conflict}"
-        self.counts.rejected += 1
-        self._skip(stamp_ns)
-        return self._law.effort
+        self.last_fault = f"two sources: {self.sources.conflict}"
+        return self._keep_effort(stamp_ns)
 
-    def _interrupt(self, stamp_ns: int, dt: float) -> None:
-        """Reset after a simulated clock that went back; else be due for a takeover."""
-        if dt < 0.0:
-            self.last_fault = f"the stamp went back by {-dt:g} s"
-            self.counts.resets += 1
-            if self._timing.is_simulated:
-                self._drop_earlier_motion(stamp_ns)
-                self._restart()
-                return
-            self._following.end_timed_motion()
-        if dt:
-            self._is_takeover_due = True
-            if self._unwrapper is not None:
-                self._unwrapper.interrupt()
+    def _pass_over_stamp(self, kind: StateKind, stamp_ns: int) -> float:
+        """Answer the first state whose stamp is no next one with the active effort."""
+        apart = abs(self._seconds_since_last(stamp_ns))
+        if kind is StateKind.LATE:
+            self.counts.gaps += 1
+            self.last_fault = f"no usable state for {apart:g} s by the stamps"
+        else:
+            self.last_fault = f"one stamp was {apart:g} s before the last"
+        if self.state.mode is LoopMode.SILENT:
+            self.law.override_effort(self.settings.effort.fallback)
+        return self._keep_effort(stamp_ns)
 
-    def _has_come_before(self, stamp_ns: int) -> bool:
-        """Tell whether a second state confirms an odd stamp.
-
-        Both lie before the last usable one, or beyond it by more than ``state_timeout``, or it
-        follows the first within that.
-        """
-        if self._refused_ns is None or stamp_ns < self._refused_ns:
-            return False
-        assert self.stamp_ns is not None
-        timeout = self._timing.state_timeout
-        if stamp_ns < self.stamp_ns:  # and so was the one before
-            return True
-        return (stamp_ns - self._refused_ns) * SECONDS_PER_NANOSECOND <= timeout or (
-            self._refused_ns - self.stamp_ns
-        ) * SECONDS_PER_NANOSECOND > timeout
-
-    def _pass_over(self, stamp_ns: int, dt: float) -> float:
-        """Answer the first state with an odd stamp with the active effort: it may be wrong."""
-        self.last_fault = f"no usable state for {dt:g} s by the stamps"
-        if dt < 0.0:
-            self.last_fault = f"one stamp was {-dt:g} s before the last"
-        self.counts.gaps += dt > 0.0
-        self.counts.rejected += 1
-        if self.state is LoopState.SILENT:
-            self._law.override_effort(self.settings.effort.fallback)
-        self._skip(stamp_ns)
-        return self._law.effort
-
-    def _is_where_it_jumped(self, stamp_ns: int, position: float) -> bool:
-        """Tell whether a position is where the one before it jumped to."""
-        if self._outlier is None:
-            return False
-        first_ns, first = self._outlier
-        apart = (stamp_ns - first_ns) * SECONDS_PER_NANOSECOND
-        distance = abs(position - first)
-        if self._unwrapper is not None:
-            distance = self._unwrapper.distance(position, first)
-        return apart > 0.0 and distance <= self._step_max + self._speed_max * apart
-
-    def _reject_jump(self, stamp_ns: int, position: float, dt: float) -> float:
+    def _refuse_jump(self, kind: StateKind, stamp_ns: int, position: float) -> float:
         """Pass over the first position that jumped, with the active effort; refuse others."""
-        is_first, self._outlier = self._outlier is None, (stamp_ns, position)
-        if self._unwrapper is not None:
-            self._unwrapper.undo()
+        state = self.state
+        apart, dt = abs(position - state.position), self._seconds_since_last(stamp_ns)
+        state.outlier = Outlier(stamp_ns, position)
         self.counts.jumps += 1
-        jump = f"the position jumped by {abs(position - self._position):g} rad in {dt:g} s"
-        if not is_first:
+        jump = f"the position jumped by {apart:g} rad in {dt:g} s"
+        if kind is StateKind.STRAY:
             return self.reject(stamp_ns, jump)
         self.last_fault = jump
+        return self._keep_effort(stamp_ns)
+
+    def _keep_effort(self, stamp_ns: int) -> float:
+        """Pass over a state, and return the active effort."""
         self.counts.rejected += 1
         self._skip(stamp_ns)
-        return self._law.effort
+        return self.law.effort
+
+    def _seconds_since_last(self, stamp_ns: int) -> float:
+        """Return the time since the last state that the law answered, in [s]; 0 for the first."""
+        last_ns = self.state.stamp_ns
+        return 0.0 if last_ns is None else (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
+
+    def _interrupt(self, kind: StateKind, stamp_ns: int) -> None:
+        """Prepare for a state that does not just follow the last one: a takeover, or a reset."""
+        if kind is StateKind.FIRST:
+            return
+        if kind is StateKind.RESET or kind is StateKind.SET_BACK:
+            self.counts.resets += 1
+            back = -self._seconds_since_last(stamp_ns)
+            self.last_fault = f"the stamp went back by {back:g} s"
+        if kind is StateKind.RESET:
+            self._drop_earlier_motion(stamp_ns)
+            self._restart()
+            return
+        if kind is StateKind.SET_BACK:
+            self.following.end_timed_motion()
+        self.state.is_takeover_due = True
+        if kind is not StateKind.MOVED and self._unwrapper is not None:
+            self._unwrapper.interrupt()
 
     def _begin(self, stamp_ns: int, position: float) -> bool:
         """Start from where the joint is, and tell whether that is a takeover."""
-        law, following = self._law, self._following
-        is_takeover = self._is_takeover_due and following.has_reference
-        self._is_takeover_due = False
+        law, following = self.law, self.following
+        is_takeover = self.state.is_takeover_due and following.has_reference
+        self.state.is_takeover_due = False
         self.counts.takeovers += is_takeover
         if law.limits is not None:
             law.limits.open(position)
@@ -705,53 +672,7 @@ class JointLoop:
             return False
         if law.relay is not None:
             self._drop_relay("the joint was taken over again")
-            law.override_effort(law.effort)  # the relay's share is in none of the law's terms
-        self._estimation.forget_velocity()
+            law.disown_effort()  # the relay's share is in none of the law's terms
+        self.estimation.forget_velocity()
         following.take_over(stamp_ns, position, self._takeover_time, law.limits)
         return True
-
-    @property
-    def effort(self) -> float:
-        """The active effort: what was given last, in [N m]."""
-        return self._law.effort
-
-    @property
-    def terms(self) -> Terms:
-        """The law's terms of the last sample in [N m], before the limits."""
-        return self._law.terms
-
-    @property
-    def model_effort(self) -> float:
-        """What a model, or an observer's disturbance, added in the last sample, in [N m]."""
-        return self._law.model_effort
-
-    @property
-    def feedforward_effort(self) -> float:
-        """What was fed forward for the reference in the last sample, in [N m]."""
-        return self._feedforward.effort
-
-    @property
-    def integral(self) -> float:
-        """The integral term that the next sample uses, in [N m]."""
-        return self._law.integral
-
-    @property
-    def reference(self) -> tuple[float, float]:
-        """Reference position [rad] and velocity [rad/s] of the last sample."""
-        return self._following.position, self._following.velocity
-
-    @property
-    def has_motion(self) -> bool:
-        """Whether the loop was told to follow anything."""
-        return self._following.motion is not None
-
-    @property
-    def velocity(self) -> float:
-        """The velocity that the last sample used, in [rad/s]."""
-        return self._estimation.velocity
-
-    @property
-    def braked(self) -> int:
-        """Samples in which a soft stop or the velocity limit braked the joint."""
-        limits = self._law.limits
-        return limits.braked if limits else 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from hpid_ros.base.errors import SettingError
@@ -126,13 +127,20 @@ class MotionLimits:
             self._low = min(position, bounds.lower)
 
 
-AntiWindup = Callable[[float, float, float, float, float, float], float]
-"""``(before, after, error, wanted, limited, dt) -> integral``.
+@dataclass(slots=True)
+class LimitedSample:
+    """What the limits made of a sample, in the law's own units: [N m] without a model."""
 
-``before`` and ``after`` are the integral before and after the law's own increment, ``wanted`` and
-``limited`` the effort before and after the limits, all in the law's own units ([N m] without a
-model); ``error`` is in [rad], ``dt`` in [s]. The answer is the integral for the next sample.
-"""
+    before: float  # the integral in this sample's effort
+    after: float  # the integral with this sample's increment
+    wanted: float  # the effort before the limits
+    limited: float  # the effort after them
+    error: float  # [rad]
+    dt: float  # [s]
+
+
+AntiWindup = Callable[[LimitedSample], float]
+"""Returns the integral for the next sample, in the law's own units."""
 
 
 def anti_windup(
@@ -151,27 +159,22 @@ def anti_windup(
     return _back_calculation(tracking_time_constant or _default_time_constant(gains))
 
 
-def _keep(
-    before: float, after: float, error: float, wanted: float, limited: float, dt: float
-) -> float:
-    return after
+def _keep(sample: LimitedSample) -> float:
+    return sample.after
 
 
-def _stop_while_pushing(
-    before: float, after: float, error: float, wanted: float, limited: float, dt: float
-) -> float:
+def _stop_while_pushing(sample: LimitedSample) -> float:
     """Do not integrate while the effort is limited and the error pushes further into it."""
-    return before if error * (wanted - limited) > 0.0 else after
+    is_pushing = sample.error * (sample.wanted - sample.limited) > 0.0
+    return sample.before if is_pushing else sample.after
 
 
 def _back_calculation(time_constant: float) -> AntiWindup:
     """Draw the integral back with the time constant by what the limits took away."""
 
-    def strategy(
-        before: float, after: float, error: float, wanted: float, limited: float, dt: float
-    ) -> float:
-        excess = limited - wanted
-        return after + (dt * excess / time_constant if dt < time_constant else excess)
+    def strategy(sample: LimitedSample) -> float:
+        excess, dt = sample.limited - sample.wanted, sample.dt
+        return sample.after + (dt * excess / time_constant if dt < time_constant else excess)
 
     return strategy
 

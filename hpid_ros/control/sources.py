@@ -82,6 +82,14 @@ class SourceWatch:
         self.adopt(bounds)
         self.reset()
 
+    @property
+    def conflict(self) -> str:
+        """Where the joint is by two sources; empty while there is one."""
+        if not self.is_split:
+            return ""
+        one, other = self.positions
+        return f"one says {one:.4g} rad, one {other:.4g} rad"
+
     def adopt(self, bounds: SourceBounds) -> None:
         """Go by other bounds from the next state on."""
         self._apart, self._twice, self._turn = bounds.apart, bounds.twice, bounds.turn
@@ -123,7 +131,7 @@ class SourceWatch:
         if self._doubled:
             self._doubled -= 1
             bound = self._twice
-        is_near = apart <= max(bound, noise)
+        is_near = apart <= bound or apart <= noise
         if is_later and is_near:
             self._go_on(stamp_ns, position, apart)
         else:  # where it parted by its stamp alone, the sequences may be near each other

@@ -219,7 +219,7 @@ class SupervisedLoop:
 
     def damp(self, duration: float) -> bool:
         """Let a damping stop answer from now on."""
-        has_begun = self.loop.stamp_ns is not None and duration > 0.0
+        has_begun = self.loop.state.stamp_ns is not None and duration > 0.0
         self._stop = self.loop.damping_stop(duration) if has_begun else None
         return has_begun
 
@@ -265,7 +265,7 @@ class SupervisedLoop:
             if self._stop is not None:
                 self._stop.effort = 0.0
         if self._is_resuming and self._has_waited(stamp_ns, now_ns):
-            return (self.loop if self._stop is None else self._stop).effort
+            return self.loop.law.effort if self._stop is None else self._stop.effort
         if stamp_ns != self._stamp_ns:
             self._latency_ns, self._stamp_ns = now_ns - stamp_ns, stamp_ns
         if self._stop is not None:
@@ -277,7 +277,7 @@ class SupervisedLoop:
             return
         if self._stop is not None:
             self._cut()
-        elif silence.is_new and self.loop.stamp_ns is not None:
+        elif silence.is_new and self.loop.state.stamp_ns is not None:
             self._resume()
             self._timed_out(silence.duration, self.loop.note_timeout())
 

@@ -52,26 +52,34 @@ class Unwrapper:
         if not self._has_wrapped:
             self._before = math.nan
 
+    def continuous(self, position: float) -> float:
+        """Return in [rad] what :meth:`update` would, and take no note of it."""
+        offset = self._offset
+        if self._wraps_at(position):
+            offset -= self._turns_to(position)
+        return position + offset
+
     def update(self, position: float) -> float:
-        """Return the continuous position in [rad]."""
+        """Take a position, and return the continuous one in [rad]."""
         self._past = self._before, self._offset, self._has_wrapped
-        step = position - self._before
-        if abs(step) > 0.5 * self._turn and max(abs(position), abs(self._before)) < self._largest:
-            self._offset -= self._turn * round(step / self._turn)
+        if self._wraps_at(position):
+            self._offset -= self._turns_to(position)
             self._has_wrapped = True
         self._before = position
         return position + self._offset
 
+    def _wraps_at(self, position: float) -> bool:
+        before = self._before
+        is_far = abs(position - before) > 0.5 * self._turn
+        return is_far and max(abs(position), abs(before)) < self._largest
+
+    def _turns_to(self, position: float) -> float:
+        """Return the whole turns from the last position to this one, in [rad]."""
+        return self._turn * round((position - self._before) / self._turn)
+
     def undo(self) -> None:
         """Forget the last position: the joint was not there."""
         self._before, self._offset, self._has_wrapped = self._past
-
-    def distance(self, position: float, other: float) -> float:
-        """Return how far apart two positions are, whatever turns they lie in."""
-        apart = position - other
-        if abs(apart) > 0.5 * self._turn:
-            apart -= self._turn * round(apart / self._turn)
-        return abs(apart)
 
 
 class VelocitySource(Protocol):

@@ -18,7 +18,8 @@ from trajectory_msgs.msg import JointTrajectory
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
-from hpid_ros.control.joint_loop import JointLoop, LoopState
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import LATCHED_WITHIN, Motion
 from hpid_ros.control.settings import LoopSettings, Value
@@ -187,7 +188,7 @@ class JointController(ManagedNode):
         """Configure: subscribe to references."""
         self._stopping.end()
         self._loop.release()
-        for warning in (self._loop.velocity_warning, self._loop.settings.floor_warning):
+        for warning in (self._loop.estimation.warning, self._loop.settings.floor_warning):
             if warning:
                 self.get_logger().warning(warning)
         self._references = ControllerReferences(
@@ -283,7 +284,7 @@ class JointController(ManagedNode):
             return "waiting for other claims of the joint"
         if self._commands.subscribers() < self._least_subscribers:
             return "waiting for a subscriber of the commands"
-        if self._needs_reference and not self._loop.has_motion:
+        if self._needs_reference and self._loop.following.motion is None:
             return "waiting for a reference"
         return ""
 
@@ -355,7 +356,7 @@ class JointController(ManagedNode):
         self._commands.send(sample.stamp_ns, effort, cuts)
         if self._readiness is not None:
             self._note_first_states()
-        if self._loop.state is LoopState.CONFLICT and not self._is_conflict_reported:
+        if self._loop.state.mode is LoopMode.CONFLICT and not self._is_conflict_reported:
             self._is_conflict_reported = True
             self._health.error(self._health.conflict())
             self._report()
@@ -371,7 +372,7 @@ class JointController(ManagedNode):
         if not self._is_simulated:
             if self._loop.settings.timing.is_simulated:
                 return
-            if self._loop.stamp_ns is not None:
+            if self._loop.state.stamp_ns is not None:
                 if not self._has_refused_clock:
                     self._has_refused_clock = True
                     self.get_logger().warning(
@@ -399,7 +400,7 @@ class JointController(ManagedNode):
     def _note_first_states(self) -> None:
         """Watch for a state timeout from the first state; a usable one completes the start."""
         self._watch_states(self._loop.settings.timing.state_timeout)
-        if self._loop.stamp_ns is not None:
+        if self._loop.state.stamp_ns is not None:
             self._begun_at = time.monotonic()
             self.destroy_timer(self._readiness)
             self._readiness = None
@@ -444,7 +445,7 @@ class JointController(ManagedNode):
     def _follow(self, motion: Motion, is_latched: bool) -> None:
         begun_at = self._begun_at
         has_just_begun = begun_at is None or time.monotonic() - begun_at < LATCHED_WITHIN
-        carries_on = is_latched and has_just_begun and not self._loop.has_motion
+        carries_on = is_latched and has_just_begun and self._loop.following.motion is None
         self._loop.receive(motion, carries_on=carries_on)
         self._health.accepted_reference()
 
@@ -485,13 +486,13 @@ class JointController(ManagedNode):
             self._commands.fall_back(self._supervised.timeout_effort, lambda: True)
 
     def _report(self) -> None:
-        if self._is_timeout_reported and self._loop.state is not LoopState.SILENT:
+        if self._is_timeout_reported and self._loop.state.mode is not LoopMode.SILENT:
             self._is_timeout_reported = False
             log_change(self, "states come again: the joint is controlled")
         before, self._standstill = self._standstill, self._find_standstill()
         if self._standstill and not before:
             self._health.warn(self._standstill)
-        if self._is_conflict_reported and self._loop.state in IN_CONTROL:
+        if self._is_conflict_reported and self._loop.state.mode in IN_CONTROL:
             self._is_conflict_reported = False
             log_change(self, "states come from one source again: the joint is controlled")
         if self._references is not None:

@@ -77,7 +77,7 @@ def record_run(
         row = next(rows)
         stamps_ns[row] = sample.stamp_ns
         positions[row] = sample.positions
-        references[row] = [loop.reference[0] for loop in loops]
+        references[row] = [loop.following.position for loop in loops]
         efforts[row] = sample.efforts
 
     run_in_process(world, loops, periods, observe, compensators)

@@ -91,7 +91,7 @@ class Stuck(JointController):
         end = time.monotonic() + motion.knots[0].position
         while time.monotonic() < end:
             {waits}
-        self._commands.send(self._loop.stamp_ns, 33.0, self._commands.cuts)
+        self._commands.send(self._loop.state.stamp_ns, 33.0, self._commands.cuts)
 
 sys.exit(executor.run(lambda: [Stuck()]))
 """

@@ -178,10 +178,10 @@ settings, loop_on = loops_with(joint="elbow", law="pid", gains=Gains(100.0, 50.0
 
 def course(loop, samples, start_ns=0, reads=lambda place: place):
     """Return the references of a loop whose joint is where its reference was."""
-    place, places = loop.reference[0] if start_ns else 0.0, []
+    place, places = loop.following.position if start_ns else 0.0, []
     for k in range(samples):
         loop.step(start_ns + k * MS, reads(place), 0.0)
-        place = loop.reference[0]
+        place = loop.following.position
         places.append(place)
     return np.array(places)
 
@@ -194,9 +194,9 @@ def test_a_trajectory_that_begins_on_the_other_side_of_half_a_turn_leads_the_rig
     loop.follow(Column("elbow", knots))
     places = []
     for k in range(1, 1300):
-        place = loop.reference[0] if k > 1 else -math.pi
+        place = loop.following.position if k > 1 else -math.pi
         loop.step(k * MS, math.remainder(place, math.tau))
-        places.append(loop.reference[0])
+        places.append(loop.following.position)
     assert max(places) <= -math.pi + 1e-6  # no hump to the wrong side
     assert places[-1] == pytest.approx(2.0 - math.tau)
     assert np.abs(np.diff(places)).max() < 2.5e-3
@@ -214,7 +214,7 @@ def test_trajectories_from_minus_to_plus_half_a_turn_go_round_and_round(turns):
         for _ in range(1047):
             now += MS
             loop.step(now, places[-1] if places else -math.pi, 6.0)
-            places.append(loop.reference[0])
+            places.append(loop.following.position)
     assert np.diff(places[1100:]).min(initial=0.0) > -1e-3
     assert places[-1] == pytest.approx(math.pi + math.tau * (turns - 1), abs=0.2)
 
@@ -227,8 +227,8 @@ def test_a_trajectory_any_number_of_turns_away_is_taken_to_where_the_joint_is(tu
     loop.follow(Column("elbow", (Knot(0, 0.2 + away, 0.0), Knot(SECOND, 1.0 + away, 0.0))))
     places = []
     for k in range(1, 1500):
-        loop.step(k * MS, loop.reference[0] if k > 1 else 0.2, 0.0)
-        places.append(loop.reference[0])
+        loop.step(k * MS, loop.following.position if k > 1 else 0.2, 0.0)
+        places.append(loop.following.position)
     assert places[-1] == pytest.approx(1.0)
     assert 0.2 - 1e-6 <= min(places) <= max(places) <= 1.0 + 1e-6
 
@@ -239,8 +239,8 @@ def test_ten_turns_are_ten_turns_where_turns_are_meant():
     motion = minimum_jerk([0.0, 10.0], {"elbow": [0.0, 20.0 * math.pi]}).column("elbow")
     loop.follow(motion)
     for k in range(1, 10_200):
-        loop.step(k * MS, math.remainder(loop.reference[0], math.tau))
-    assert loop.reference[0] == pytest.approx(20.0 * math.pi, abs=1e-3)
+        loop.step(k * MS, math.remainder(loop.following.position, math.tau))
+    assert loop.following.position == pytest.approx(20.0 * math.pi, abs=1e-3)
     assert abs(loop.error) < 0.05
 
 

@@ -39,8 +39,8 @@ def followed(send, samples=2000):
     loop.step(0, 0.0, 0.0)
     for now_ms in range(1, samples):
         send(loop, now_ms)
-        loop.step(now_ms * MS, *loop.reference)
-        rows.append((now_ms * 1e-3, *loop.reference))
+        loop.step(now_ms * MS, *loop.following.reference)
+        rows.append((now_ms * 1e-3, *loop.following.reference))
     return np.array(rows).T
 
 

@@ -174,12 +174,12 @@ def test_a_goal_that_starts_later_leaves_what_runs_now_until_then():
         group.step()
         farthest = max(farthest, group.position[0])
         if group.stamp_ns < start_ns:
-            before.append(group.loops[0].reference[0])
+            before.append(group.loops[0].following.position)
     assert farthest < 1.05  # neither plan leads beyond 1
     assert before[-1] == pytest.approx(1.0, abs=1e-6)
     assert np.diff(before).min() >= -1e-9
     assert [each.code for each in group.results][-1] is ResultCode.SUCCESSFUL
-    assert group.loops[0].reference[0] == pytest.approx(0.5, abs=1e-3)
+    assert group.loops[0].following.position == pytest.approx(0.5, abs=1e-3)
 
 
 def test_a_goal_whose_first_point_comes_late_swings_nowhere():
@@ -190,7 +190,7 @@ def test_a_goal_whose_first_point_comes_late_swings_nowhere():
     places = []
     for _ in range(22_000):
         group.step()
-        places.append(group.loops[0].reference[0])
+        places.append(group.loops[0].following.position)
     assert min(places) > 0.45
     assert max(places) < 1.0 + 1e-6
     assert places[-1] == pytest.approx(0.5, abs=1e-3)
@@ -241,8 +241,8 @@ def test_a_glide_is_no_faster_than_the_motion_and_the_joint(ways):
         loop.follow(Column("elbow", knots, 1))  # over by then, as after a restart
         fastest = 0.0
         for k in range(1, 400):
-            loop.step(100 * SECOND + 5 * k * MS, loop.reference[0], 0.0)
-            fastest = max(fastest, abs(loop.reference[1]))
+            loop.step(100 * SECOND + 5 * k * MS, loop.following.position, 0.0)
+            fastest = max(fastest, abs(loop.following.velocity))
         planned = min(abs(way) / duration, 2.0)
         assert fastest <= max(planned, 1.875 * 2.0 * abs(way) / 3600.0) * (1.0 + 1e-6) + 1e-9
 

@@ -18,7 +18,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
 
-from hpid_ros.control.joint_loop import LoopState
+from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.sources import SourceWatch, source_bounds
 from hpid_ros.messages.joint_state import JointPart, JointStateTemplate
@@ -128,7 +128,7 @@ def driven(loop, streams, load=-5.0):
         if shown is None:
             velocity += 2e-3 * (effort + load)
             position += 2e-3 * velocity
-        answers.append((at, effort, loop.state))
+        answers.append((at, effort, loop.state.mode))
     return answers
 
 
@@ -140,13 +140,13 @@ def test_a_loop_gives_the_fallback_until_one_source_has_ended_and_takes_over(clo
     driver = stream(500, lambda at: None, end=8.0)
     zeros = stream(rate, lambda at: 0.0, begin=3.0, end=3.5, clock=clock, lag=-1e-4)
     answers = driven(loop, driver + zeros)
-    during = [each for each in answers if each[2] is LoopState.CONFLICT]
+    during = [each for each in answers if each[2] is LoopMode.CONFLICT]
     assert 3.0 <= during[0][0] < 3.0 + 1.0 / rate + 0.01
     assert {effort for _, effort, _ in during} == {FALLBACK}
     assert loop.counts.conflicts == 1
     after = [each for each in answers if each[0] > during[-1][0]]
     assert after[0][0] < 4.3
-    assert answers[-1][2] is LoopState.FOLLOWING
+    assert answers[-1][2] is LoopMode.FOLLOWING
     assert loop.error == pytest.approx(0.0, abs=0.05)
 
 

@@ -66,7 +66,9 @@ def test_an_observers_estimate_is_published_and_a_lack_of_inertia_is_told(harnes
     harness.wait(lambda: estimates and estimates[-1].header.stamp.nanosec == last, what="it")
     seen = estimates[-1]
     assert list(seen.name) == ["elbow"]
-    assert (seen.position[0], seen.velocity[0], seen.effort[0]) == twin.estimate
+    assert (seen.position[0], seen.velocity[0], seen.effort[0]) == twin.estimation.observer_state(
+        twin.law.model_gain
+    )
 
 
 VALUES = {"law": "hpid", "mu": -0.3, "norm__effort_scale": 3.0, "norm__floor": 0.1}

@@ -125,7 +125,7 @@ class SimulatedGroup:
             parts.append(JointPart(joint, q, v))
             effort = loop.step(self.stamp_ns, q, v)
             place = self.position[joint]
-            self.log[joint].append((self.stamp_ns, *loop.reference, place, effort))
+            self.log[joint].append((self.stamp_ns, *loop.following.reference, place, effort))
             if joint in self.blocked:
                 self.velocity[joint] = 0.0
                 continue
@@ -135,7 +135,7 @@ class SimulatedGroup:
         if self.stamp_ns % (50 * MS) == 0:
             for joint, loop in enumerate(self.loops):
                 if joint not in self.mute:
-                    reference = loop.reference[0]
+                    reference = loop.following.position
                     self.note(self.follower.take_reference(joint, self.stamp_ns, reference))
         if self.follower.misses and not self.is_behind:
             self.note(self.follower.confirm())

@@ -48,7 +48,7 @@ class SimulatedJoint:
                 effort = self.loop.step(self.stamp_ns, self.position, self.velocity)
                 efforts.append((at, effort))
                 if self.stamp_ns % 50_000_000 == 0:
-                    references.append((at, *self.loop.reference))
+                    references.append((at, *self.loop.following.reference))
             states.append((at, self.position, self.velocity))
             acceleration = effort / self.settings.inertia
             self.position += 1e-3 * self.velocity + 0.5e-6 * acceleration

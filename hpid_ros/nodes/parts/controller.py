@@ -21,7 +21,8 @@ from hpid_ros.base.errors import GainError, HpidError, MessageError, SettingErro
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import of_slide
-from hpid_ros.control.joint_loop import JointLoop, LoopState
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.settings import (
     LARGEST_EFFORT,
@@ -300,9 +301,9 @@ _NO_LIMIT = 1e6  # as the parameters say it
 _MANY_MISSED = 0.5  # of the states of a report
 _REFUSAL_REPORTS = 30  # in which a reference that was refused is named, if no good one comes
 
-_ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT, LoopState.CONFLICT)
+_ON_FALLBACK = (LoopMode.SILENT, LoopMode.FAULT, LoopMode.CONFLICT)
 
-IN_CONTROL = (LoopState.HOLDING, LoopState.FOLLOWING)
+IN_CONTROL = (LoopMode.HOLDING, LoopMode.FOLLOWING)
 """States of a loop whose law drives the joint."""
 
 
@@ -355,7 +356,7 @@ class ControllerHealth(Diagnostics):
             self._node,
             f"active: joint {settings.joint}, {settings.law}{degree}, "
             f"{'within ' + ', '.join(within) if within else 'no limits'}; "
-            f"{loop.state.value}: {loop.reference[0]:.6g} {self.unit('rad')}",
+            f"{loop.state.mode.value}: {loop.following.position:.6g} {self.unit('rad')}",
         )
 
     def misread_state(self, line: str) -> None:
@@ -376,7 +377,7 @@ class ControllerHealth(Diagnostics):
         node = self._node
         topic = node.resolve_topic_name(STATES)
         nodes = sorted({full_name(each) for each in node.get_publishers_info_by_topic(topic)})
-        joint, places = self._loop.settings.joint, self.unit(self._loop.conflict)
+        joint, places = self._loop.settings.joint, self.unit(self._loop.sources.conflict)
         return (
             f"states of {joint} come from two sources: {places}; on {topic} publish: "
             f"{', '.join(nodes) or 'nodes that the graph does not know'}"
@@ -418,18 +419,18 @@ class ControllerHealth(Diagnostics):
     ) -> None:
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
-        message, level = loop.state.value, OK
+        message, level = loop.state.mode.value, OK
         # each counts from its last call
         recent = self._misread(), self._refused(), self._slowness(), self._model_fault()
-        warnings = standstill, self._certification.warning, loop.velocity_warning, *recent
+        warnings = standstill, self._certification.warning, loop.estimation.warning, *recent
         warning = next(filter(None, warnings), "")
         if not is_active:
             message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
-        elif loop.state in _ON_FALLBACK:
-            if loop.state is LoopState.CONFLICT:
+        elif loop.state.mode in _ON_FALLBACK:
+            if loop.state.mode is LoopMode.CONFLICT:
                 message = self.conflict()
             message, level = f"{message}; {warning}" if warning else message, ERROR
-        elif loop.state is LoopState.WAITING or waiting or warning:
+        elif loop.state.mode is LoopMode.WAITING or waiting or warning:
             message, level = waiting or warning or message, WARN
         self.publish(
             level,
@@ -439,7 +440,7 @@ class ControllerHealth(Diagnostics):
                 "claim": claim,
                 "law": loop.settings.law,
                 "degree mu": loop.settings.mu,
-                "velocity": loop.velocity_origin,
+                "velocity": loop.estimation.origin,
                 "certified degrees": self._certification.degrees,
                 "samples": counts.samples,
                 "gaps": counts.gaps,
@@ -451,14 +452,14 @@ class ControllerHealth(Diagnostics):
                 "repeats": counts.repeats,
                 "clock resets": counts.resets,
                 "saturated samples": counts.saturated,
-                "braked samples": loop.braked,
+                "braked samples": loop.law.braked,
                 "rejected samples": counts.rejected + self.misread,
                 "states of other joints": self.foreign,
                 "refused references": self._references,
                 "refused requests": self.refused_requests,
-                self.unit("effort [N m]"): loop.effort,
-                self.unit("integral term [N m]"): loop.integral,
-                self.unit("feedforward [N m]"): loop.feedforward_effort,
+                self.unit("effort [N m]"): loop.law.effort,
+                self.unit("integral term [N m]"): loop.law.integral,
+                self.unit("feedforward [N m]"): loop.feedforward.effort,
                 self.unit("error [rad]"): loop.error,
                 **self._timing.recent(),
                 **(self._model.readings() if self._model else {"compensation": "none"}),
@@ -478,7 +479,7 @@ class ControllerHealth(Diagnostics):
         held, self._held = self._held, states.held
         if self._held > held:
             return f"model terms are held: {states.last_fault}"
-        if states.lacks_efforts and self._loop.effort:
+        if states.lacks_efforts and self._loop.law.effort:
             return "the efforts of the states are all 0: the model has nothing to go by"
         return ""
 

@@ -384,14 +384,14 @@ class Introspection:
         if self._last_ns is not None and 0 <= stamp_ns - self._last_ns < self._period_ns:
             return
         self._last_ns = stamp_ns
-        position, velocity = loop.reference
+        position, velocity = loop.following.reference
         self._reference.publish(
             self._reference_template.encode(stamp_ns, position=(position,), velocity=(velocity,))
         )
-        model = (loop.model_effort,) if self._has_model else ()
-        terms = (*loop.terms, *model, loop.feedforward_effort)
+        model = (loop.law.model_effort,) if self._has_model else ()
+        terms = (*loop.law.terms, *model, loop.feedforward.effort)
         self._terms.publish(self._terms_template.encode(stamp_ns, effort=terms))
-        estimate = loop.estimate
+        estimate = loop.estimation.observer_state(loop.law.model_gain)
         if estimate is not None:
             place, rate, disturbance = estimate
             self._estimate.publish(

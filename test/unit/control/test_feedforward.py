@@ -64,21 +64,24 @@ def test_planned_efforts_are_given_linearly_between_the_points():
     efforts = at_rest(loop, 0, 400)
     for k, effort in {1: 1.0, 50: 1.0, 100: 2.0, 150: 3.0, 190: 1.0, 250: -2.0, 399: -2.0}.items():
         assert efforts[k] == pytest.approx(effort)
-        assert loop.feedforward_effort == -2.0
+        assert loop.feedforward.effort == -2.0
 
 
 def test_a_planned_weight_takes_the_place_of_the_integral_that_held_it():
     loop, joint = pure_loop(**PID), joint_of(load=-8.0)
     loop.follow(Setpoint(0.0))
     before = drive(loop, joint, 3000)[-1]
-    assert loop.integral == pytest.approx(before, abs=1e-3)
+    assert loop.law.integral == pytest.approx(before, abs=1e-3)
     loop.follow(held(8.0, 8.0))
     efforts = drive(loop, joint, 300)
     assert efforts == pytest.approx([before] * 300, abs=1e-3)
-    assert (loop.feedforward_effort, loop.integral) == (8.0, pytest.approx(before - 8.0, abs=1e-3))
+    assert (loop.feedforward.effort, loop.law.integral) == (
+        8.0,
+        pytest.approx(before - 8.0, abs=1e-3),
+    )
     loop.follow(held(None, None))
     assert drive(loop, joint, 300) == pytest.approx(efforts, abs=1e-3)
-    assert loop.feedforward_effort == 0.0
+    assert loop.feedforward.effort == 0.0
 
 
 @pytest.mark.parametrize(
@@ -95,7 +98,7 @@ def test_what_no_integral_may_give_up_fades_in(values, rest, integral):
     efforts += at_rest(loop, 10, 400)
     assert max(abs(b - a) for a, b in pairwise(efforts)) <= rest / 200 + 1e-6
     assert efforts[-1] == pytest.approx(rest)
-    assert loop.integral == integral
+    assert loop.law.integral == integral
 
 
 @pytest.mark.parametrize(
@@ -113,18 +116,18 @@ def test_what_no_integral_may_give_after_a_takeover_fades(values, integral):
     efforts = at_rest(loop, 10, 400)
     assert efforts[0] == pytest.approx(5.0)
     assert max(abs(b - a) for a, b in pairwise(efforts)) <= (5.0 - integral) / 200 + 1e-6
-    assert efforts[-1] == pytest.approx(integral) == loop.integral
+    assert efforts[-1] == pytest.approx(integral) == loop.law.integral
 
 
 def test_the_terms_of_the_last_sample_stay_and_it_is_not_counted_again_where_parameters_are_set():
     loop = pure_loop(Setpoint(0.0), **PID, velocity_max=1.0)
     loop.step(0, 0.0, 0.0)
     loop.step(MS, 0.01, 2.0)
-    terms, counts = loop.terms, (loop.braked, loop.counts.saturated)
+    terms, counts = loop.law.terms, (loop.law.braked, loop.counts.saturated)
     assert terms.p
     assert counts[0] == 1
     loop.retune(loop.settings.with_parameters({"gains.p": 100.0}))
-    assert (loop.terms, (loop.braked, loop.counts.saturated)) == (terms, counts)
+    assert (loop.law.terms, (loop.law.braked, loop.counts.saturated)) == (terms, counts)
 
 
 MOTIONS = {
@@ -210,7 +213,7 @@ def test_what_is_described_is_taken():
     loop = pure_loop(**known, feedforward__inertia=-1.0)
     loop.follow(Column("elbow", (Knot(0, 0.0, 0.0, 2.0), Knot(SECOND, 1.0, 0.0, 0.0)), stamp_ns=1))
     at_rest(loop, 0, 9)  # it began 1 ns after the first state: taken up at the second, not at rest
-    assert loop.feedforward_effort == pytest.approx(0.3 * 2.0, abs=0.12)
+    assert loop.feedforward.effort == pytest.approx(0.3 * 2.0, abs=0.12)
 
 
 def test_a_relay_is_refused_where_a_planned_effort_leaves_it_no_room():
@@ -221,7 +224,7 @@ def test_a_relay_is_refused_where_a_planned_effort_leaves_it_no_room():
             held(planned, planned), takeover_time=0.0, gains__p=5.0, gains__d=1.0, **limits
         )
         at_rest(loop, 0, 200)
-        assert loop.effort == pytest.approx(planned)
+        assert loop.law.effort == pytest.approx(planned)
         if is_refused:
             with pytest.raises(SettingError, match="not within the effort limits"):
                 loop.begin_relay(request)

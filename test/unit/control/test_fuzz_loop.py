@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.control import Gains, JointLoop, LoopSettings
-from hpid_ros.control.joint_loop import LoopState
+from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_state import JointReader
@@ -45,7 +45,7 @@ def goes_to(loop, target, stamp_ns):
         stayed = stayed + 1 if abs(position - target) < 1e-3 else 0
         if stayed == 500:
             break
-    return loop.state is LoopState.FOLLOWING and abs(position - target) < 2e-3
+    return loop.state.mode is LoopMode.FOLLOWING and abs(position - target) < 2e-3
 
 
 def test_a_hundred_thousand_messages_and_the_joint_still_goes_where_it_should(faults):
@@ -64,7 +64,7 @@ def test_a_hundred_thousand_messages_and_the_joint_still_goes_where_it_should(fa
                 continue
             for loop in loops if sample is not None else ():
                 assert -30.0 <= loop.step(*sample) <= 40.0
-                assert math.isfinite(loop.integral)
+                assert math.isfinite(loop.law.integral)
         # By whatever stamps a loop has been sent to the end of time: the clock goes back.
         assert all(goes_to(loop, 0.7, fuzzer.stamp_ns) for loop in loops)
     assert 0.1 * seen < refused < 0.9 * seen
@@ -82,7 +82,7 @@ class AnyOrder(RuleBasedStateMachine):
     @rule(periods=st.integers(1, 3), position=st.floats(-3.0, 3.0), velocity=st.floats(-9.0, 9.0))
     def state(self, periods, position, velocity):
         self.stamp_ns += periods * MS
-        before, reference = self.loop.effort, self.loop.reference
+        before, reference = self.loop.law.effort, self.loop.following.reference
         effort = self.loop.step(self.stamp_ns, position, velocity)
         assert math.isfinite(before + effort + sum(reference))
 
@@ -97,9 +97,9 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule()
     def repeat(self):
-        if self.loop.stamp_ns is not None:
-            before = self.loop.effort
-            assert self.loop.step(self.loop.stamp_ns, math.nan) == before
+        if self.loop.state.stamp_ns is not None:
+            before = self.loop.law.effort
+            assert self.loop.step(self.loop.state.stamp_ns, math.nan) == before
 
     @rule(gap=st.floats(0.0, 1.0))
     def silence(self, gap):
@@ -138,10 +138,10 @@ class AnyOrder(RuleBasedStateMachine):
         | st.lists(st.sampled_from([*NUMBERS, 0.1, 2.0, 5.0]), min_size=5, max_size=5)
     )
     def relay(self, numbers):
-        before = self.loop.effort
+        before = self.loop.law.effort
         with contextlib.suppress(HpidError):
             self.loop.begin_relay(RelayRequest(*numbers))
-        assert self.loop.effort == before
+        assert self.loop.law.effort == before
 
     @rule()
     def release(self):
@@ -149,14 +149,18 @@ class AnyOrder(RuleBasedStateMachine):
 
     @invariant()
     def is_within_limits(self):
-        assert -30.0 <= self.loop.effort <= 40.0
-        numbers = self.loop.integral, self.loop.velocity, *self.loop.reference
+        assert -30.0 <= self.loop.law.effort <= 40.0
+        numbers = (
+            self.loop.law.integral,
+            self.loop.estimation.velocity,
+            *self.loop.following.reference,
+        )
         assert all(map(math.isfinite, numbers))
 
     def teardown(self):
         """Whatever has been, it goes on."""
         self.loop.retune(settings())
-        start_ns = (self.loop.stamp_ns or 0) - 10**9
+        start_ns = (self.loop.state.stamp_ns or 0) - 10**9
         if start_ns > -(2**31) * 10**9:
             assert goes_to(self.loop, 0.7, start_ns)
 
@@ -219,12 +223,12 @@ class NothingKicks(RuleBasedStateMachine):
 
     def _sample(self, is_back=False, has_jumped=False):
         takeovers, samples = self.loop.counts.takeovers, self.loop.counts.samples
-        before = self.loop.reference
-        rate_before = abs(before[1] - self.loop.velocity)
+        before = self.loop.following.reference
+        rate_before = abs(before[1] - self.loop.estimation.velocity)
         self.sampled = self._wrapped()
         effort = self.loop.step(self.stamp_ns, self.sampled, self.velocity)
         assert self.loop.counts.samples == samples + 1
-        rate = abs(self.loop.reference[1] - self.loop.velocity)
+        rate = abs(self.loop.following.velocity - self.loop.estimation.velocity)
         if has_jumped:  # in control until now: the derivative term was there before
             rate += rate_before
         if self.loop.counts.takeovers > takeovers:
@@ -232,7 +236,9 @@ class NothingKicks(RuleBasedStateMachine):
             self.taken_over_ns = self.answered_ns = self.stamp_ns
         elif not is_back:
             is_new = self.stamp_ns - self.taken_over_ns < 200 * MS
-            moved = [abs(a - b) for a, b in zip(self.loop.reference, before, strict=True)]
+            moved = [
+                abs(a - b) for a, b in zip(self.loop.following.reference, before, strict=True)
+            ]
             ahead = self.values.get("feedforward.viscous_friction", 0.0)
             ahead += self.values.get("feedforward.coulomb_friction", 0.0) / FRICTION_VELOCITY
             allowed = 0.5 + self.integrated + 100.0 * moved[0] + (5.0 + ahead) * moved[1]
@@ -240,7 +246,7 @@ class NothingKicks(RuleBasedStateMachine):
                 allowed += 5.0 * abs(self.velocity)
             assert abs(effort - self.active) <= allowed
         seconds = (self.stamp_ns - self.answered_ns) * 1e-9
-        self.integrated = LAW["gains.i"] / LAW["gains.p"] * abs(self.loop.terms.p) * seconds
+        self.integrated = LAW["gains.i"] / LAW["gains.p"] * abs(self.loop.law.terms.p) * seconds
         self.active, self.answered_ns = effort, self.stamp_ns
 
     @rule(samples=st.integers(1, 60), acceleration=st.floats(-HARDEST, HARDEST))
@@ -266,7 +272,10 @@ class NothingKicks(RuleBasedStateMachine):
             self.stamp_ns = stamp_ns
         self.stamp_ns += MS
         timeout_ns = self.values.get("state_timeout", 0.1) * 1e9
-        if self.loop.stamp_ns is not None and self.stamp_ns - self.loop.stamp_ns > timeout_ns:
+        if (
+            self.loop.state.stamp_ns is not None
+            and self.stamp_ns - self.loop.state.stamp_ns > timeout_ns
+        ):
             assert self.loop.step(self.stamp_ns, self._wrapped(), 0.0) == self.active  # at first
             self._move(1e-3)
         # Within the timeout the loop goes on, and its reference has moved meanwhile.
@@ -283,11 +292,11 @@ class NothingKicks(RuleBasedStateMachine):
 
     @rule(has_timed_out=st.booleans())
     def repeat(self, has_timed_out):
-        if self.loop.stamp_ns is not None:
+        if self.loop.state.stamp_ns is not None:
             if has_timed_out:
                 self.active = self.loop.note_timeout()
                 assert self.active == FALLBACK
-            assert self.loop.step(self.loop.stamp_ns, self.sampled, 0.0) == self.active
+            assert self.loop.step(self.loop.state.stamp_ns, self.sampled, 0.0) == self.active
 
     @precondition(lambda self: self.stamp_ns > self.astray_ns + 10**9)
     @rule(jump=st.floats(1.0, 2.0) | st.floats(-2.0, -1.0), is_for_good=st.booleans())
@@ -296,7 +305,7 @@ class NothingKicks(RuleBasedStateMachine):
         self.astray_ns = self.stamp_ns
         self.position += jump
         self._move(1e-3)
-        is_checked = self.loop.stamp_ns is not None and not self.loop.is_on_fallback
+        is_checked = self.loop.state.stamp_ns is not None and not self.loop.is_on_fallback
         if is_checked:
             effort = self.loop.step(self.stamp_ns, self._wrapped(), self.velocity)
             assert effort == self.active
@@ -313,7 +322,7 @@ class NothingKicks(RuleBasedStateMachine):
         """From where the reference stands, with no more than one rad/s, planned efforts or not."""
         first, last = efforts or (None, None)
         start_ns = self.stamp_ns + 500 * MS
-        here = self.loop.reference[0]
+        here = self.loop.following.position
         end = Knot(4 * 10**9, here + distance, 0.0, 0.0, last)
         self.loop.follow(Column("elbow", (Knot(0, here, 0.0, 0.0, first), end), start_ns))
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import EndedError, SettingError, TrajectoryError
 from hpid_ros.control import Gains
-from hpid_ros.control.joint_loop import LoopState
+from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
 
@@ -47,7 +47,7 @@ def test_loop_brings_a_loaded_joint_to_its_setpoint(law, mu):
         velocity += 1e-3 * (loop.step(k * MS, position, velocity) - 3.0)
         position += 1e-3 * velocity
     assert position == pytest.approx(0.7, abs=2e-3)
-    assert loop.integral == pytest.approx(3.0, abs=0.2)
+    assert loop.law.integral == pytest.approx(3.0, abs=0.2)
     assert loop.counts.samples == 10_000
 
 
@@ -58,12 +58,12 @@ def test_velocities_that_are_zero_while_the_joint_moves_are_doubted():
         for _ in range(count):
             k += 1
             loop.step(k * MS, 1e-3 * k, velocity)
-        assert ("all 0, and the joint has moved by 0.05" in loop.velocity_warning) is is_doubted
-        assert ("velocity_source filtered" in loop.velocity_warning) is is_doubted
+        assert ("all 0, and the joint has moved by 0.05" in loop.estimation.warning) is is_doubted
+        assert ("velocity_source filtered" in loop.estimation.warning) is is_doubted
     loop.reset()
     for k in range(5000):  # at rest, seen by a noisy encoder
         loop.step(k * MS, 0.01 * math.sin(k), 0.0)
-    assert loop.velocity_warning == ""
+    assert loop.estimation.warning == ""
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_velocities_that_are_zero_while_the_joint_moves_are_doubted():
 def test_a_loop_reports_where_its_velocity_comes_from(source, velocity, origin):
     loop = loop_on(velocity_source=source)
     loop.step(0, 0.0, velocity)
-    assert (loop.velocity_origin, loop.velocity_warning) == (origin, "")
+    assert (loop.estimation.origin, loop.estimation.warning) == (origin, "")
 
 
 @pytest.mark.parametrize(
@@ -93,25 +93,25 @@ def test_a_constant_velocity_is_found(changes):
     loop = loop_on(**{"velocity_source": "filtered", **changes})
     for k in range(1000):
         loop.step(k * MS, 3.0 * k * 1e-3)
-    assert loop.velocity == pytest.approx(3.0, rel=1e-9)
+    assert loop.estimation.velocity == pytest.approx(3.0, rel=1e-9)
 
 
 def test_a_loop_without_a_reference_holds_its_first_position():
     loop = loop_on()
-    assert loop.state is LoopState.WAITING
+    assert loop.state.mode is LoopMode.WAITING
     assert loop.step(5 * MS, 1.25, 0.0) == 0.0
-    assert loop.state is LoopState.HOLDING
+    assert loop.state.mode is LoopMode.HOLDING
     assert loop.step(6 * MS, 1.0, 0.0) == pytest.approx(10.0 * 0.25)
-    assert loop.reference == (1.25, 0.0)
+    assert loop.following.reference == (1.25, 0.0)
 
 
 def test_a_repeated_stamp_gets_the_last_effort_and_changes_nothing():
     loop = loop_on()
     loop.step(0, 0.0, 0.0)
     effort = loop.step(MS, 0.1, 0.0)
-    integral = loop.integral
+    integral = loop.law.integral
     assert loop.step(MS, 99.0, 99.0) == effort
-    assert (loop.integral, loop.counts.repeats, loop.counts.samples) == (integral, 1, 2)
+    assert (loop.law.integral, loop.counts.repeats, loop.counts.samples) == (integral, 1, 2)
 
 
 def test_a_simulated_clock_that_goes_back_resets_loop_and_motion():
@@ -140,9 +140,9 @@ def test_a_motion_that_a_simulated_clock_has_yet_to_reach_again_is_dropped(
         loop.step(k * MS, 0.9, 0.0)
     for k in range(70_000):
         loop.step(k * MS, 0.2, 0.0)
-    assert loop.reference[0] == pytest.approx(position)
+    assert loop.following.position == pytest.approx(position)
     assert ("went back to 0.000 s" in loop.dropped) is is_dropped
-    assert loop.has_motion is not is_dropped
+    assert (loop.following.motion is None) is is_dropped
 
 
 STATES = st.integers(100 * SECOND, 10**18)
@@ -171,7 +171,7 @@ def test_a_trajectory_is_taken_where_the_action_would_take_it_but_for_a_second(
         assert not is_over or carries_on
         return
     loop.step(now_ns + MS, 0.0, 0.0)
-    assert loop.reference == (0.5, 0.0)
+    assert loop.following.reference == (0.5, 0.0)
 
 
 @pytest.mark.parametrize("jump", [-50, 7200])
@@ -193,7 +193,7 @@ def test_what_starts_too_far_after_the_first_state_is_named_then():
     loop.receive(Column("j", (Knot(0, 1.0),), 10**18))
     loop.step(0, 0.2, 0.0)
     assert "must start within 3600 s" in loop.dropped
-    assert not loop.has_motion
+    assert loop.following.motion is None
 
 
 @pytest.mark.parametrize("back", [1, 5, 10**6])
@@ -216,63 +216,63 @@ def test_a_setpoint_that_comes_beside_a_takeover_is_no_step(is_first):
         act()
     for k in range(20, 25):
         loop.step(k * MS, 0.0, 0.0)
-        assert abs(loop.reference[0]) < 1e-3
+        assert abs(loop.following.position) < 1e-3
     for k in range(25, 600):
         loop.step(k * MS, 0.0, 0.0)
-    assert loop.reference[0] == 1.0
+    assert loop.following.position == 1.0
     loop.receive(Setpoint(0.5))
     loop.step(600 * MS, 0.0, 0.0)
-    assert loop.reference[0] == 0.5
+    assert loop.following.position == 0.5
 
 
 def test_a_setpoint_that_was_received_before_the_first_state_is_no_step():
     loop = loop_on()
     loop.receive(Setpoint(1.0))
     loop.step(SECOND, 0.2, 0.0)
-    references = [loop.reference[0]]
+    references = [loop.following.position]
     for k in range(1, 600):
         loop.step(SECOND + k * MS, 0.2, 0.0)
-        references.append(loop.reference[0])
+        references.append(loop.following.position)
     assert references[0] == pytest.approx(0.2)
     assert max(b - a for a, b in itertools.pairwise(references)) < 0.005
     assert references[-1] == 1.0
     loop.receive(Setpoint(0.5))  # now whoever sends it knows where the joint is
     loop.step(SECOND + 600 * MS, 0.2, 0.0)
-    assert loop.reference[0] == 0.5
+    assert loop.following.position == 0.5
 
 
 def test_a_gap_restarts_the_derivative_and_leaves_the_effort_as_it_is():
     loop = loop_on(velocity_source="filtered", velocity_filter_time_constant=0.0)
     for k in range(3):
         loop.step(k * MS, 0.001 * k)
-    effort = loop.effort
-    assert loop.velocity == pytest.approx(1.0)
+    effort = loop.law.effort
+    assert loop.estimation.velocity == pytest.approx(1.0)
     assert loop.step(3 * SECOND - MS, 7.0) == effort  # its stamp may be wrong
     assert loop.step(3 * SECOND, 0.5) == pytest.approx(effort)
-    assert (loop.velocity, loop.counts.gaps, loop.counts.takeovers) == (0.0, 1, 1)
+    assert (loop.estimation.velocity, loop.counts.gaps, loop.counts.takeovers) == (0.0, 1, 1)
     loop.step(3 * SECOND + MS, 0.501)
-    assert loop.velocity == pytest.approx(1.0)
+    assert loop.estimation.velocity == pytest.approx(1.0)
 
 
 def test_the_first_sample_integrates_nothing():
     loop = loop_on(Setpoint(1.0))
     loop.step(10**18, 0.0, 0.0)
-    assert loop.integral == 0.0
+    assert loop.law.integral == 0.0
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("where", ["position", "velocity"])
 def test_a_state_that_is_not_finite_gets_no_effort_and_leaves_no_trace(bad, where):
     loop = hold(loop_on(Setpoint(1.0), velocity_source="measured"), 2)
-    integral = loop.integral
+    integral = loop.law.integral
     assert loop.step(2 * MS, **{"position": 0.0, "velocity": 0.0, where: bad}) == 0.0
-    assert loop.state is LoopState.FAULT
-    assert (loop.integral, loop.counts.rejected) == (integral, 1)
+    assert loop.state.mode is LoopMode.FAULT
+    assert (loop.law.integral, loop.counts.rejected) == (integral, 1)
     assert f"{where} {bad} rad" in loop.last_fault
     advised = "velocity_source filtered does without" in loop.last_fault
     assert advised is (where == "velocity")
     assert loop.step(3 * MS, 0.0, 0.0) == pytest.approx(10.0 + integral)
-    assert loop.state is LoopState.FOLLOWING
+    assert loop.state.mode is LoopMode.FOLLOWING
 
 
 @pytest.mark.parametrize(
@@ -296,10 +296,10 @@ def test_a_state_that_is_not_finite_gets_no_effort_and_leaves_no_trace(bad, wher
 def test_where_the_integral_settles_while_the_effort_is_saturated(changes, integral):
     values = {"antiwindup_strategy": "back_calculation", "u_clamp_max": 1.0, **changes}
     loop = hold(loop_on(Setpoint(1.0), **values), 2001)
-    assert loop.integral == pytest.approx(integral, abs=0.01)
+    assert loop.law.integral == pytest.approx(integral, abs=0.01)
     loop.follow(Setpoint(-1.0))
-    loop.step(loop.stamp_ns + MS, 0.0, 0.0)
-    assert loop.integral < integral or loop.settings.gains.i == 0.0  # it comes back at once
+    loop.step(loop.state.stamp_ns + MS, 0.0, 0.0)
+    assert loop.law.integral < integral or loop.settings.gains.i == 0.0  # it comes back at once
 
 
 def test_a_loop_cannot_be_retuned_to_another_joint():
@@ -325,11 +325,11 @@ def test_a_new_motion_begins_where_the_reference_is(before, after, fastest):
     for k in range(1, 1500):
         if k == 300:
             loop.follow(after)
-        here, rate = loop.reference[:2]
+        here, rate = loop.following.reference
         loop.step(k * MS, here, rate)
         if k > 1:  # a setpoint is a step
-            speeds.append(abs(loop.reference[1]))
-            assert loop.reference[0] == pytest.approx(here + 1e-3 * rate, abs=5e-5)
+            speeds.append(abs(loop.following.velocity))
+            assert loop.following.position == pytest.approx(here + 1e-3 * rate, abs=5e-5)
     assert max(speeds) < fastest
 
 
@@ -362,11 +362,11 @@ def test_settings_that_no_law_can_be_made_of_change_nothing():
 
 def test_a_setpoint_is_glided_onto_once_more_where_a_simulated_clock_begins_again():
     loop = hold(loop_on(Setpoint(0.5), state_clock="simulated", takeover_time=0.2), 600, 0.5)
-    assert loop.reference[0] == 0.5
+    assert loop.following.position == 0.5
     places = []
     for k in range(300):
         loop.step(k * MS, 0.0, 0.0)
-        places.append(loop.reference[0])
+        places.append(loop.following.position)
     assert places[0] == 0.0
     assert max(b - a for a, b in itertools.pairwise(places)) < 0.006
     assert places[-1] == 0.5

@@ -76,7 +76,7 @@ def test_a_relay_makes_a_limit_cycle_begins_and_ends_without_a_jump_and_the_join
     assert steps[-50 - near :].max() < 0.2 * ASKED.amplitude
     joint.run(2.0)
     assert joint.position == pytest.approx(0.0, abs=1e-3)
-    assert joint.loop.effort == pytest.approx(LOAD, abs=0.02)
+    assert joint.loop.law.effort == pytest.approx(LOAD, abs=0.02)
 
 
 def test_limits_hold_while_a_relay_is_active():
@@ -113,7 +113,7 @@ def test_whatever_comes_in_between_ends_a_relay(act, reason, is_at_once):
         with pytest.raises(SettingError):
             joint.begin()
     else:  # it gives back gradually
-        before = joint.loop.effort
+        before = joint.loop.law.effort
         assert abs(joint.step() - before) <= 2.0 * ASKED.amplitude * 1.05
         joint.until_over(within=0.5)
 
@@ -122,7 +122,7 @@ def test_a_gap_ends_a_relay_and_the_takeover_has_no_jump():
     joint = HeldJoint()
     joint.begin()
     joint.run(0.7)
-    before = joint.loop.effort
+    before = joint.loop.law.effort
     joint.stamp_ns += 500_000_000
     joint.velocity = 0.0
     assert joint.step() == before

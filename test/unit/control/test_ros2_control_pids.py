@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control.controller_files import parameters_from
-from hpid_ros.control.limited_law import LimitedLaw
+from hpid_ros.control.limited_law import LawSample, LimitedLaw
 
 GAINS = {"p": 12.0, "i": 5.0, "d": 3.0}
 DT = 0.002
@@ -99,14 +99,7 @@ def test_a_loop_gives_what_control_toolbox_gives(strategy, gains, errors):
     assert (loop.law, loop.timing.control_period) == ("pid", DT)
     law = LimitedLaw(loop)
     for (error, rate), expected in zip(errors, control_toolbox(gains, errors), strict=True):
-        effort = law.update(
-            *(error, rate, DT),
-            position=0.0,
-            velocity=0.0,
-            model=None,
-            acceleration=0.0,
-            feedforward=0.0,
-        )
+        effort = law.update(LawSample(error, rate, DT, 0.0, 0.0, 0.0, 0.0, None))
         assert effort == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 

@@ -14,7 +14,7 @@ from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control import LOOP_PARAMETERS, Gains, JointLoop, LoopSettings
 from hpid_ros.control.assembly import make_law, make_motion_limits, soft_stop_gains
 from hpid_ros.control.following import Glide, Offset
-from hpid_ros.control.joint_loop import LoopState
+from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
 
@@ -46,11 +46,11 @@ def test_after_a_timeout_the_loop_takes_over_from_where_the_joint_fell_without_a
     loop = loop_on(motion, fallback_effort=fallback)
     assert abs(run(loop, 1000, 2000, 0.3)) > 2.0 or motion is None
     assert loop.note_timeout() == fallback
-    assert loop.state is LoopState.SILENT
+    assert loop.state.mode is LoopMode.SILENT
     assert loop.step(2499 * MS, 0.1, 0.0) == fallback  # its stamp may be wrong
     effort = loop.step(2500 * MS, -0.4, 0.0)
     assert effort == pytest.approx(fallback)
-    assert loop.reference == pytest.approx((-0.4, 0.0))
+    assert loop.following.reference == pytest.approx((-0.4, 0.0))
     assert (loop.counts.silences, loop.counts.takeovers, loop.counts.gaps) == (1, 1, 1)
     after = [loop.step((2500 + k) * MS, -0.4, 0.0) for k in range(1, 520)]
     assert largest_change(effort, *after) < 2.5  # the glide's own pace
@@ -58,11 +58,11 @@ def test_after_a_timeout_the_loop_takes_over_from_where_the_joint_fell_without_a
         speeds = []
         for k in range(3020, 6600):
             loop.step(k * MS, -0.4, 0.0)
-            speeds.append(abs(loop.reference[1]))
+            speeds.append(abs(loop.following.velocity))
         assert max(speeds) < 3.0 * RAMP.pace.fastest  # it must catch up
-        assert loop.reference == (2.0, 0.0)
+        assert loop.following.reference == (2.0, 0.0)
     else:  # without a motion it holds where the joint is now
-        assert loop.reference == (1.0 if motion else -0.4, 0.0)
+        assert loop.following.reference == (1.0 if motion else -0.4, 0.0)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -85,7 +85,7 @@ def test_a_pause_of_the_control_clock_leaves_no_trace():
         assert loop.step(k * MS, 0.1, 0.0) == twin.step(k * MS, 0.1, 0.0)
         if k % 100 == 50:
             assert loop.note_timeout() == 0.0
-            assert loop.step(k * MS, 0.1, 0.0) == twin.effort  # asked again: the same answer
+            assert loop.step(k * MS, 0.1, 0.0) == twin.law.effort  # asked again: the same answer
     assert loop.counts.takeovers == 0
 
 
@@ -99,7 +99,7 @@ def test_only_a_simulated_clock_can_be_paused(clock):
     assert loop.step(199 * MS, 0.2, 0.0) == (1.0 if is_wall else before)
     assert loop.step(200 * MS, 0.2, 0.0) == pytest.approx(1.0 if is_wall else before, abs=0.1)
     assert loop.counts.takeovers == is_wall
-    before = loop.effort
+    before = loop.law.effort
     loop.note_unanswered()  # nobody gave another effort
     assert loop.step(201 * MS, 0.2, 0.0) == pytest.approx(before, abs=0.1)
     assert (loop.counts.takeovers, loop.counts.silences) == (2 * is_wall, 2)
@@ -144,7 +144,7 @@ def test_a_joint_that_is_elsewhere_for_good_is_taken_over_from_there():
     assert (loop.counts.jumps, loop.counts.takeovers) == (1, 1)
     assert largest_change(*efforts) < 2.5
     run(loop, 500, 800, 1.2)
-    assert loop.reference == (0.5, 0.0)
+    assert loop.following.reference == (0.5, 0.0)
 
 
 def test_the_damping_of_jumps_in_a_row_is_not_added_up():
@@ -163,7 +163,7 @@ def test_positions_that_jump_about_are_no_positions():
     efforts = [loop.step((200 + k) * MS, (-1.0) ** k * (2.0 + k), 0.0) for k in range(50)]
     assert efforts[0] == before
     assert set(efforts[1:]) == {0.5}
-    assert loop.state is LoopState.FAULT
+    assert loop.state.mode is LoopMode.FAULT
     assert loop.step(260 * MS, 0.2, 0.0) == pytest.approx(before, abs=0.2)  # it was short
 
 
@@ -208,7 +208,7 @@ def test_a_single_stamp_from_the_future_leaves_nothing_behind(position, changes,
         run(each, 0, 200, 3.1)
         if is_taken_over:
             each.supersede(1.0)
-    assert loop.step(3_600_000 * MS, position) == twin.effort
+    assert loop.step(3_600_000 * MS, position) == twin.law.effort
     loop.retune(loop.settings.with_parameters({"gains.p": 100.0}))
     loop.retune(twin.settings)
     efforts = [[each.step(k * MS, 3.1) for k in range(200, 400)] for each in (loop, twin)]
@@ -253,7 +253,7 @@ def test_a_wall_clock_that_is_set_back_moves_nothing(begun, ends_at, damping, ba
         speed += (efforts[-1] - load) * 1e-3
         position += speed * 1e-3
     assert (loop.counts.resets, loop.counts.takeovers) == (1, 1)
-    assert loop.reference == (pytest.approx(ends_at, abs=2e-3), 0.0)
+    assert loop.following.reference == (pytest.approx(ends_at, abs=2e-3), 0.0)
     assert position == pytest.approx(ends_at, abs=0.05)
     assert largest_change(*efforts) < 0.5 + damping
 
@@ -285,16 +285,16 @@ def test_absurd_numbers_leave_nothing_behind_in_the_velocity(absurd):
     loop.step(20 * MS, absurd)
     loop.step(21 * MS, 0.2, absurd)
     run(loop, 22, 60, 0.2)
-    assert loop.velocity == 0.0
-    assert loop.state is LoopState.HOLDING
+    assert loop.estimation.velocity == 0.0
+    assert loop.state.mode is LoopMode.HOLDING
 
 
 def test_a_late_joiner_starts_where_the_joint_is_and_ends_on_the_motion_and_holds_its_end():
     loop = loop_on(RAMP)
     assert loop.step(3 * SECOND, 0.2, 0.0) == pytest.approx(0.0, abs=1e-9)
     run(loop, 3001, 7000, 0.2)
-    assert loop.reference == (2.0, 0.0)
-    assert loop.state is LoopState.FOLLOWING
+    assert loop.following.reference == (2.0, 0.0)
+    assert loop.state.mode is LoopMode.FOLLOWING
 
 
 def test_the_same_motion_sent_again_while_it_is_under_way_changes_no_bit():
@@ -305,7 +305,7 @@ def test_the_same_motion_sent_again_while_it_is_under_way_changes_no_bit():
         if k == 20:
             loop.follow(Column("j", again, stamp_ns=1))
         assert loop.step(k * MS, 0.1, 0.0) == twin.step(k * MS, 0.1, 0.0)
-    assert loop.reference == twin.reference
+    assert loop.following.reference == twin.following.reference
 
 
 def derivatives_agree(sample, at_ns, scale):
@@ -390,7 +390,7 @@ def test_another_effort_that_is_no_number_is_taken_for_the_fallback(effort):
     loop = loop_on(Setpoint(0.0), fallback_effort=1.5)
     run(loop, 0, 10, 0.0)
     loop.supersede(effort)
-    assert loop.effort == 1.5
+    assert loop.law.effort == 1.5
     assert loop.step(10 * MS, 0.0, 0.0) == pytest.approx(1.5)
 
 
@@ -425,7 +425,7 @@ def test_an_error_that_leads_out_of_a_limit_is_integrated(least, most, error):
 def test_a_lower_limit_of_the_integral_is_reached_without_a_jump():
     loop = loop_on(Setpoint(0.1), gains=Gains(40.0, 130.0, 4.0), takeover_time=0.2)
     before = run(loop, 0, 1000, 0.0)
-    assert loop.integral > 6.0
+    assert loop.law.integral > 6.0
     loop.retune(loop.settings.with_parameters({"i_clamp_max": 1.0}))
     efforts = [loop.step(k * MS, 0.0, 0.0) for k in range(1000, 1400)]
     assert largest_change(before, *efforts) < 0.1
@@ -438,7 +438,7 @@ def test_another_effort_after_a_fault_stays_where_parameters_are_set():
     loop.step(10 * MS, math.nan)
     loop.supersede(3.0)
     loop.retune(loop.settings.with_parameters({"gains.p": 100.0}))
-    assert loop.effort == 3.0
+    assert loop.law.effort == 3.0
 
 
 def test_a_jump_that_is_confirmed_after_a_retune_keeps_no_damping_in_its_integral():
@@ -484,20 +484,20 @@ def test_every_parameter_is_retuned_in_motion_without_a_kick(name, source):
         if k == retuned:
             changed = LoopSettings.from_parameters({**values, name: OTHERS[name]})
             law, clamp = make_law(changed), changed.integral
-            law.restore_integral(min(max(loop.integral, clamp.i_clamp_min), clamp.i_clamp_max))
+            law.restore_integral(min(max(loop.law.integral, clamp.i_clamp_min), clamp.i_clamp_max))
             loop.retune(changed)
         speed = 2.0 + 0.4 * math.cos(0.02 * k) if has_velocity else None
         efforts = [each.step(k * MS, position, speed) for each in loops]
         if k < retuned:
             assert efforts[0] == efforts[1]
             continue
-        own = law.update(loop.error, loop.reference[1] - loop.velocity, 1e-3)
+        own = law.update(loop.error, loop.following.velocity - loop.estimation.velocity, 1e-3)
         difference = abs(changed.effort.within(own) - efforts[1])
         assert abs(efforts[0] - efforts[1]) <= difference + 1e-9 + 0.02 * (k > retuned), k
         # ... and estimates of the velocity differ by no more than their filters do.
-        assert abs(loop.velocity - twin.velocity) < 0.2
+        assert abs(loop.estimation.velocity - twin.estimation.velocity) < 0.2
         if k == retuned:
-            assert abs(loop.velocity - twin.velocity) * changed.gains.d < 1.0
+            assert abs(loop.estimation.velocity - twin.estimation.velocity) * changed.gains.d < 1.0
 
 
 def random_values(draw):
@@ -530,16 +530,16 @@ def test_ten_thousand_sets_between_samples_are_active_whole_or_not_at_all(faults
         else:
             counts["valid"] += 1
             loop.retune(settings_now)
-        integral, before = loop.integral, loop.effort
+        integral, before = loop.law.integral, loop.law.effort
         effort = loop.step(k * MS, position, velocity)
         assert loop.settings is settings_now
         low, high = settings_now.effort.u_clamp_min, settings_now.effort.u_clamp_max
         assert low <= effort <= high
-        assert loop.terms.i == integral  # the law's own change and nothing else: p and d terms
+        assert loop.law.terms.i == integral  # the law's own change and nothing else: p and d terms
         law = make_law(settings_now)
         law.restore_integral(integral)
-        own = law.update(loop.error, loop.reference[1] - loop.velocity, 0.001)
-        own += loop.feedforward_effort  # what i_clamp took from the integral fades
+        own = law.update(loop.error, loop.following.velocity - loop.estimation.velocity, 0.001)
+        own += loop.feedforward.effort  # what i_clamp took from the integral fades
         if make_motion_limits(settings_now) is None:
             assert effort == min(max(own, low), high)
         elif settings_now.effort.effort_rate_max > 0.0:
@@ -610,9 +610,9 @@ def test_a_loop_sent_beyond_the_stop_holds_a_load_on_it(law):
     loop.follow(Column("j", (Knot(0, 0.0, 0.0), Knot(SECOND, 3.0, 0.0))))
     track = move(loop.step, 8.0, load=20.0)
     assert max(track[:, 0]) < 0.5 + 20.0 / (7.5 * 30.0) + 0.01
-    assert loop.reference == (0.5, 0.0)
+    assert loop.following.reference == (0.5, 0.0)
     assert track[-1, 0] == pytest.approx(0.5, abs=5e-3)
-    assert abs(loop.integral) < 40.0  # it did not wind up against the stop
+    assert abs(loop.law.integral) < 40.0  # it did not wind up against the stop
 
 
 @given(
@@ -639,7 +639,7 @@ def test_far_from_stops_and_limits_nothing_is_changed_to_the_bit():
 def test_a_joint_that_begins_beyond_a_stop_is_held_and_let_in_but_not_further_out():
     loop = JointLoop(limited(position_max=1.0))
     assert np.allclose(move(loop.step, 1.0, position=1.5)[:, 0], 1.5)  # not pushed back
-    assert loop.effort == 0.0
+    assert loop.law.effort == 0.0
     loop = JointLoop(limited(position_max=1.0))
     loop.step(0, 1.5, 0.0)
     loop.follow(Setpoint(2.5))
@@ -676,7 +676,7 @@ def test_the_effort_changes_no_faster_than_its_rate(steps):
     for periods, position in steps:
         stamp_ns += periods * MS
         effort = loop.step(stamp_ns, position, 0.0)
-        if loop.state is LoopState.CONFLICT:  # positions to and fro: the fallback, at once
+        if loop.state.mode is LoopMode.CONFLICT:  # positions to and fro: the fallback, at once
             assert effort == 0.0
         else:
             assert abs(effort - before) <= 500.0 * periods * T * (1.0 + 1e-9)
@@ -710,8 +710,8 @@ def test_no_sequence_of_states_yields_an_effort_outside_the_limits(states, strat
     loop.follow(Setpoint(0.5))
     for state in states:
         assert -3.0 <= loop.step(*state) <= 7.0
-        assert math.isfinite(loop.integral)
-        assert loop.integral <= values.get("i_clamp_max", math.inf)
+        assert math.isfinite(loop.law.integral)
+        assert loop.law.integral <= values.get("i_clamp_max", math.inf)
 
 
 @pytest.mark.parametrize("strategy", ["conditional_integration", "back_calculation"])
@@ -726,7 +726,7 @@ def test_anti_windup_holds_against_every_limit(strategy, limit):
         loop.follow(Setpoint(5.0))
         for k in range(1000):  # a joint that is held by the hand
             loop.step(k * MS, 0.19, 0.049)
-    assert abs(bounded.integral) < 0.6 * abs(runaway.integral)
+    assert abs(bounded.law.integral) < 0.6 * abs(runaway.law.integral)
 
 
 def test_a_joint_is_taken_over_only_where_it_stays_after_a_jump():
@@ -746,12 +746,12 @@ def test_what_a_limit_took_is_not_in_the_integral_after_a_takeover(limits):
     position = velocity = off = 0.0
     for k in range(1, 4000):
         if k == 600:
-            off, before = 0.3, loop.effort
+            off, before = 0.3, loop.law.effort
             assert velocity == pytest.approx(1.0, abs=0.05)
         effort = loop.step(SECOND + k * MS, position + off, velocity)
         if k == 601:
             assert loop.counts.takeovers == 1
-            assert abs(loop.integral) < abs(before) + abs(loop.terms.d) + 1.0
+            assert abs(loop.law.integral) < abs(before) + abs(loop.law.terms.d) + 1.0
         velocity += 1e-3 * effort / 1.0
         position += 1e-3 * velocity
     assert position + off == pytest.approx(1.4, abs=0.05)

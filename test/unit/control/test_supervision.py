@@ -133,7 +133,7 @@ def test_a_damping_stop_answers_in_place_of_the_loop_and_is_cut_by_a_timeout():
     joint.loop.release()
     joint.begin()
     joint.states(100)
-    assert joint.loop.reference[0] == pytest.approx(0.3)  # it holds
+    assert joint.loop.following.position == pytest.approx(0.3)  # it holds
 
 
 def test_without_a_state_before_or_a_duration_there_is_no_ramp():
@@ -218,7 +218,7 @@ def test_what_was_before_an_activation_counts_no_more():
     for _ in range(3):
         joint.now += MS
         joint.answer(joint.now - 10**12, 0.4, 0.0, joint.now)
-    assert joint.loop.reference[0] == 0.4
+    assert joint.loop.following.position == 0.4
     assert joint.loop.counts.samples == 1000 + 3
 
 

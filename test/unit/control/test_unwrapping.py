@@ -73,7 +73,7 @@ def test_a_wheel_goes_round_without_a_kick(source, low):
         effort = twin.step(k * MS, place, speed)
         assert loop.step(k * MS, wrapped, speed) == pytest.approx(effort, abs=1e-6)
     assert loop.counts.jumps == loop.counts.takeovers == 0
-    assert loop.reference[0] > 14.0
+    assert loop.following.position > 14.0
 
 
 @pytest.mark.parametrize("wanted", [6.0, 3.0, -4.0, 20.0])
@@ -98,7 +98,7 @@ def test_the_shorter_way_round_is_taken_where_the_encoder_wraps_or_it_is_asked_f
     loop.follow(Setpoint(wanted))
     loop.step(MS, 0.0, 0.0)
     nearest = math.remainder(wanted, math.tau) if takes_shorter_way else wanted
-    assert loop.reference[0] == pytest.approx(nearest, abs=1e-12)
+    assert loop.following.position == pytest.approx(nearest, abs=1e-12)
 
 
 @given(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0))
@@ -168,13 +168,13 @@ def test_a_trajectory_is_taken_whole_turns_away_and_runs_on_as_it_is():
     before = 12.0
     for k in range(1, 3100):
         loop.step(k * MS, before, 0.0)
-        assert abs(loop.reference[0] - before) < 0.01  # no step anywhere, at no turn
-        before = loop.reference[0]
+        assert abs(loop.following.position - before) < 0.01  # no step anywhere, at no turn
+        before = loop.following.position
     assert before == pytest.approx(9.5 + 2 * math.tau)
     loop.step(9 * SECOND, 0.1, 0.0)  # after a gap, the nearest turn again
     for k in range(1, 1500):
         loop.step(9 * SECOND + k * MS, 0.1, 0.0)
-    assert loop.reference[0] == pytest.approx(9.5 - math.tau, abs=1e-9)
+    assert loop.following.position == pytest.approx(9.5 - math.tau, abs=1e-9)
 
 
 @pytest.mark.parametrize("source", ["filtered", "observer"])
@@ -257,4 +257,4 @@ def test_what_is_set_after_a_stamp_from_the_future_holds_when_it_is_forgotten():
     loop.step(2 * MS, 0.0, 0.0)
     loop.follow(Setpoint(6.0))
     loop.step(3 * MS, 0.0, 0.0)
-    assert loop.reference[0] == pytest.approx(6.0 - math.tau)
+    assert loop.following.position == pytest.approx(6.0 - math.tau)

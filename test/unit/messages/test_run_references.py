@@ -300,7 +300,7 @@ def test_the_reference_is_the_one_that_the_joint_loop_follows(tmp_path):
             log.append(trajectory(stamp_ns, told[k]))
         log.append(state(stamp_ns, a=position))
         log.append(command(stamp_ns, a=loop.step(stamp_ns, position, 0.1)))
-        followed.append(loop.reference[0])
+        followed.append(loop.following.position)
     series, losses = read_one(tmp_path / "bag", log)
     assert bits(series.reference) == bits(followed)
     assert not losses

@@ -37,7 +37,9 @@ def test_feedback_tells_what_controllers_follow_and_how_far_joints_are_from_the_
         feedback = group.follower.feedback()
         assert feedback.stamp_ns == group.stamp_ns
         desired = [each[0] for each in feedback.desired]
-        assert desired == pytest.approx([loop.reference[0] for loop in group.loops], abs=4e-3)
+        assert desired == pytest.approx(
+            [loop.following.position for loop in group.loops], abs=4e-3
+        )
         for desired, actual, error in zip(
             feedback.desired, feedback.actual, feedback.error, strict=True
         ):
@@ -59,12 +61,12 @@ def test_a_joint_that_is_blocked_aborts_and_holds_where_it_is_with_little_effort
     before = abs(group.logged(1)[4][-1])
     group.run(1.0)
     stuck = group.position[1]
-    assert group.loops[1].reference == (pytest.approx(stuck, abs=1e-9), 0.0)
+    assert group.loops[1].following.reference == (pytest.approx(stuck, abs=1e-9), 0.0)
     # Its integral stays what it was; the proportional effort against the block is gone.
     assert abs(group.logged(1)[4][-1]) < before
-    assert abs(group.loops[1].terms.p) < 1e-6
+    assert abs(group.loops[1].law.terms.p) < 1e-6
     # The other one has stopped where it was going, and holds.
-    assert group.loops[0].reference == (pytest.approx(group.position[0], abs=2e-3), 0.0)
+    assert group.loops[0].following.reference == (pytest.approx(group.position[0], abs=2e-3), 0.0)
     assert 0.2 < group.position[0] < 1.0
 
 
@@ -116,12 +118,12 @@ def test_joints_that_a_goal_does_not_name_rest_and_never_swing_back():
     only = {"elbow": [0.0]}
     begun = group.begin(goal(only, [10.0], at_rest(only)))
     assert begun.trajectory.names == ("shoulder", "elbow")
-    before = group.loops[0].reference
+    before = group.loops[0].following.reference
     group.run(1.0)
     path = group.logged(0)[1]
     assert np.all(np.diff(path) >= 0.0)
     assert path[-1] == pytest.approx(before[0] + 0.25 * before[1], abs=5e-3)
-    assert group.loops[0].reference[1] == 0.0
+    assert group.loops[0].following.velocity == 0.0
 
 
 def test_a_goal_for_some_joints_leaves_the_others_where_their_references_stand():
@@ -132,7 +134,7 @@ def test_a_goal_for_some_joints_leaves_the_others_where_their_references_stand()
     group.begin(goal(only, [1.0], at_rest(only)))
     group.run(2.0)
     assert group.results[0].code is ResultCode.SUCCESSFUL
-    assert group.loops[0].reference == (0.7, 0.0)
+    assert group.loops[0].following.reference == (0.7, 0.0)
 
 
 def test_a_goal_with_a_stamp_begins_then_and_one_that_is_under_way_is_joined():
@@ -140,7 +142,7 @@ def test_a_goal_with_a_stamp_begins_then_and_one_that_is_under_way_is_joined():
     group.run(0.2)
     group.begin(moving(stamp_ns=101 * SECOND))
     group.run(0.7)
-    assert [loop.reference[0] for loop in group.loops] == [0.0, 0.0]
+    assert [loop.following.position for loop in group.loops] == [0.0, 0.0]
     group.run(3.0, until=lambda: group.results)
     assert group.stamp_ns == pytest.approx(102 * SECOND, abs=0.05 * SECOND)
     assert group.results[0].code is ResultCode.SUCCESSFUL

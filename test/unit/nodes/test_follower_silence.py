@@ -33,7 +33,7 @@ def test_states_that_stop_abort_the_goal_and_the_joints_hold_where_they_are_foun
     group.velocity = [0.0, 0.0]
     group.stamp_ns += SECOND
     group.run(1.5)
-    assert [loop.reference for loop in group.loops] == [
+    assert [loop.following.reference for loop in group.loops] == [
         (pytest.approx(-0.3, abs=0.01), 0.0),
         (pytest.approx(0.2, abs=0.01), 0.0),
     ]
@@ -182,7 +182,7 @@ def test_a_clock_that_jumps_ahead_aborts_the_goal_and_stops_the_joints_where_the
     for joint, place in enumerate(there):
         _, _, _, position, _ = group.logged(joint)
         assert max(abs(position[before:] - place)) < 0.4 * speeds[joint] + 0.01
-        assert group.loops[joint].reference == (
+        assert group.loops[joint].following.reference == (
             pytest.approx(group.position[joint], abs=0.01),
             0.0,
         )
@@ -257,7 +257,7 @@ def test_references_that_wait_while_newer_states_are_taken_are_not_missed():
     group.run(0.6)
     assert group.follower.misses
     for joint, loop in enumerate(group.loops):
-        group.note(group.follower.take_reference(joint, group.stamp_ns, loop.reference[0]))
+        group.note(group.follower.take_reference(joint, group.stamp_ns, loop.following.position))
     group.mute, group.is_behind = set(), False
     group.run(3.0, until=lambda: group.results)
     assert group.results[0].code is ResultCode.SUCCESSFUL

@@ -12,7 +12,7 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.control.joint_loop import LoopState
+from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_trajectory import decode_trajectory
 from hpid_ros.nodes.core import executor
@@ -294,12 +294,12 @@ def test_a_stop_has_the_time_back_in_which_the_process_stood_still():
     assert supervisor._end() == pytest.approx(executor._LEFT_WITHIN, abs=2.0)
 
 
-@pytest.mark.parametrize("state", [LoopState.SILENT, LoopState.HOLDING])
+@pytest.mark.parametrize("state", [LoopMode.SILENT, LoopMode.HOLDING])
 def test_after_a_timeout_a_joint_is_called_controlled_from_the_first_usable_state(state):
     controller = MagicMock(**{"_has_timed_out.return_value": False})
-    controller._loop.state = state
+    controller._loop.state.mode = state
     JointController._report(controller)
-    assert controller.get_logger().info.called is (state is LoopState.HOLDING)
+    assert controller.get_logger().info.called is (state is LoopMode.HOLDING)
 
 
 def test_where_nobody_reads_errors_the_process_ends_all_the_same(monkeypatch):
@@ -314,8 +314,8 @@ def test_where_nobody_reads_errors_the_process_ends_all_the_same(monkeypatch):
 
 def test_a_warning_of_the_last_report_is_of_that_alone_also_behind_another_one():
     certification, loop = MagicMock(warning="not certified"), MagicMock()
-    loop.counts.missed, loop.velocity_warning, loop.relay, loop.dropped = 0, "", None, ""
-    loop.settings.timing.control_period, loop.state = 0.001, LoopState.HOLDING
+    loop.counts.missed, loop.estimation.warning, loop.relay, loop.dropped = 0, "", None, ""
+    loop.settings.timing.control_period, loop.state.mode = 0.001, LoopMode.HOLDING
     health = ControllerHealth(MagicMock(), loop, certification, SimpleNamespace(recent=dict))
     health.publish = MagicMock()
     loop.counts.missed = 900
@@ -323,11 +323,12 @@ def test_a_warning_of_the_last_report_is_of_that_alone_also_behind_another_one()
     assert health.publish.call_args.args[1] == "not certified"
     certification.warning = ""
     health.report("active", "", "", "")
-    assert health.publish.call_args.args[1] == LoopState.HOLDING.value
+    assert health.publish.call_args.args[1] == LoopMode.HOLDING.value
 
 
 def test_a_reference_that_was_refused_is_named_until_a_good_one_comes_or_for_a_while():
-    loop = MagicMock(relay=None, dropped="", velocity_warning="", state=LoopState.HOLDING)
+    loop = MagicMock(relay=None, dropped="")
+    loop.estimation.warning, loop.state.mode = "", LoopMode.HOLDING
     loop.counts.missed, loop.settings.timing.control_period = 0, 0.001
     health = ControllerHealth(
         MagicMock(), loop, MagicMock(warning=""), SimpleNamespace(recent=dict)
@@ -339,7 +340,7 @@ def test_a_reference_that_was_refused_is_named_until_a_good_one_comes_or_for_a_w
             health.report("active", "", "", "")
             yield health.publish.call_args.args[1]
 
-    held, refused = LoopState.HOLDING.value, "reference refused: no good"
+    held, refused = LoopMode.HOLDING.value, "reference refused: no good"
     health.refused_reference("no good")
     assert set(messages(30)) == {refused}
     assert set(messages(2)) == {held}

@@ -161,7 +161,7 @@ def test_a_stop_never_passes_a_position_limit(at, room):
     group.run(0.2)
     group.begin(goal({"shoulder": [0.0, 1.0]}, [0.0, 1.0], {"shoulder": [0.0, 0.0]}))
     group.run(at)
-    upper = group.loops[0].reference[0] + room
+    upper = group.loops[0].following.position + room
     # No goal leads beyond a limit; this one does, once it is under way.
     group.follower.settings = replace(group.settings, facts=(JointFacts(upper=upper),))
     group.cancel()
@@ -189,7 +189,7 @@ def test_leaving_ends_the_goal_and_stops():
     group.note(group.follower.leave("the node ends"))
     assert group.results == [(ResultCode.INVALID_GOAL, "the node ends")]
     group.run(1.5)
-    assert [loop.reference[1] for loop in group.loops] == [0.0, 0.0]
+    assert [loop.following.velocity for loop in group.loops] == [0.0, 0.0]
     assert group.follower.leave("again") == (None, None)
     assert group.follower.cancel() == (None, None)
 
@@ -203,9 +203,9 @@ def test_a_goal_gives_way_to_another_trajectory_and_stops_only_the_joints_that_i
     assert result == (ResultCode.INVALID_GOAL, "another node has sent a trajectory for elbow")
     assert group.told[-1].names == ("shoulder",)
     group.run(1.5)
-    assert [loop.reference for loop in group.loops][1] == (0.7, 0.0)
-    assert group.loops[0].reference[1] == 0.0
-    assert abs(group.loops[0].reference[0]) < 0.9  # of 1.0
+    assert [loop.following.reference for loop in group.loops][1] == (0.7, 0.0)
+    assert group.loops[0].following.velocity == 0.0
+    assert abs(group.loops[0].following.position) < 0.9  # of 1.0
     group.begin(goal({"elbow": [0.7]}, [0.5], at_rest({"elbow": [0.7]})))
     group.run(2.0, until=lambda: len(group.results) > 1)
     assert group.results[-1].code is ResultCode.SUCCESSFUL
@@ -221,8 +221,8 @@ def test_of_two_trajectories_at_the_same_time_none_is_followed():
     assert result.text.endswith("for elbow at the same time: the joints stop")
     assert set(group.told[-1].names) == {"shoulder", "elbow"}
     group.run(20.0)  # as slowly as the stop was planned
-    assert [loop.reference[1] for loop in group.loops] == [0.0, 0.0]
-    ends = [loop.reference[0] for loop in group.loops]
+    assert [loop.following.velocity for loop in group.loops] == [0.0, 0.0]
+    ends = [loop.following.position for loop in group.loops]
     assert ends == pytest.approx([0.0, 0.0], abs=0.3)  # neither 1.0, where the goal led, nor 0.7
 
 

@@ -16,7 +16,7 @@ from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.base.files import share_folder
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.assembly import soft_stop_gains
-from hpid_ros.control.joint_loop import LoopState
+from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
@@ -49,10 +49,10 @@ def test_the_effort_is_the_models_plus_the_gain_times_law_and_acceleration():
             acceleration = Column("j", knots).start(0, 0.0).sample(k * MS)[2]
             expected = 0.4 * (alone + follows * acceleration) + term.effort
             assert effort == pytest.approx(expected, rel=1e-12)
-            assert sum(ours.terms) + ours.model_effort == pytest.approx(effort, rel=1e-12)
-            assert sum(ours.terms) == pytest.approx(0.4 * alone, rel=1e-12)
+            assert sum(ours.law.terms) + ours.law.model_effort == pytest.approx(effort, rel=1e-12)
+            assert sum(ours.law.terms) == pytest.approx(0.4 * alone, rel=1e-12)
         assert abs(acceleration) > 1.0
-        assert ours.model_effort == term.effort + follows * 0.4 * acceleration
+        assert ours.law.model_effort == term.effort + follows * 0.4 * acceleration
 
 
 @pytest.mark.parametrize("strategy", ["none", "conditional_integration", "back_calculation"])
@@ -100,7 +100,7 @@ def test_a_model_effort_at_the_limit_does_not_wind_the_integral_up():
     ours.step(0, 0.0, 0.0, ModelTerm(0.1, 50.0))
     for k in range(1, 500):
         assert ours.step(k * MS, 0.4, 0.0, ModelTerm(0.1, 50.0)) == 10.0
-    assert ours.integral == 0.0
+    assert ours.law.integral == 0.0
 
 
 @pytest.mark.parametrize("fallback", [0.0, 4.0])
@@ -122,7 +122,7 @@ def test_a_state_without_a_term_is_rejected_like_one_that_is_not_finite():
     for k in range(20):
         assert ours.step(k * MS, 0.1, 0.0, term) == other.step(k * MS, 0.1, 0.0, term)
     assert ours.reject(20 * MS, "no model term") == other.step(20 * MS, math.nan) == 1.0
-    assert ours.state is LoopState.FAULT
+    assert ours.state.mode is LoopMode.FAULT
     assert ours.last_fault == "no model term"
     assert ours.reject(20 * MS, "asked again") == 1.0
     assert (ours.counts.rejected, ours.counts.repeats) == (1, 1)
@@ -136,8 +136,8 @@ def test_beyond_a_soft_stop_the_reference_rests_and_has_no_acceleration():
     ours.follow(Column("j", knots))
     for k in range(500):
         ours.step(k * MS, 0.2, 0.0, ModelTerm(0.3, 0.0, True))
-    assert ours.reference == (0.5, 0.0)
-    assert ours.model_effort == 0.0
+    assert ours.following.reference == (0.5, 0.0)
+    assert ours.law.model_effort == 0.0
 
 
 def test_a_damping_stop_is_in_the_joints_units():
@@ -165,7 +165,7 @@ def test_a_reset_forgets_the_models_gain():
     ours = decoupled()
     ours.step(0, 0.0, 0.0, ModelTerm(0.25, 3.0, True))
     ours.release()
-    assert (ours.model_effort, ours.integral, ours.effort) == (0.0, 0.0, 0.0)
+    assert (ours.law.model_effort, ours.law.integral, ours.law.effort) == (0.0, 0.0, 0.0)
 
 
 def test_compensation_cannot_change_while_the_loop_runs():

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hpid_bench.tuning.export import GivenLoop, golden_vectors, in_single
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.joint_loop import LoopState
+from hpid_ros.control.loop_state import LoopMode
 
 SETTINGS = loop_settings(gains__p=40.0, gains__i=130.0, gains__d=4.0, mu=-0.2)
 SEEDS = st.integers(0, 2**32)
@@ -56,7 +56,7 @@ def assert_equal_answers(python, c, states):
     for count, state in enumerate(states):
         mine, other = c.step(*state), python.step(*state)
         assert bits(mine) == bits(other), (count, state)
-        assert bits(c.state.integral) == bits(python.loop.integral), (count, state)
+        assert bits(c.state.integral) == bits(python.loop.law.integral), (count, state)
 
 
 @given(SEEDS)
@@ -98,7 +98,7 @@ def test_whatever_comes_between_two_states_c_answers_as_python_to_the_last_bit(l
                 settings = settings_by_chance(chance, control_period=0.001)
             python.loop.retune(settings)
             assert c.retune(settings)
-            assert bits(c.state.effort) == bits(python.loop.effort), state
+            assert bits(c.state.effort) == bits(python.loop.law.effort), state
         elif chance.random() < 0.03:
             effort = chance.choice((chance.gauss(0.0, 10.0), math.nan, math.inf))
             python.loop.supersede(effort)
@@ -127,11 +127,11 @@ def test_c_recognises_two_sources_of_states_as_python_to_the_last_bit(library, s
         if 500 < k < 1500 and k % every == 0:
             states.append((stamp_ns + offset_ns, 0.2, 0.0, position + apart, 0.0))
         assert_equal_answers(python, c, states)
-        is_conflict = python.loop.state is LoopState.CONFLICT
+        is_conflict = python.loop.state.mode is LoopMode.CONFLICT
         assert (c.state.condition == CONFLICT) == is_conflict
         conflicts += is_conflict
     assert conflicts > 1000 or apart in (0.004, 0.012, math.tau)
-    assert python.loop.state is not LoopState.CONFLICT
+    assert python.loop.state.mode is not LoopMode.CONFLICT
 
 
 @given(SEEDS)

@@ -173,7 +173,7 @@ def test_a_trajectory_is_followed_as_python_follows_it(active, derivatives, stam
         now_ns = start_ns + k * MS
         found = reference_of(active, "elbow", now_ns, rest)
         loop.step(now_ns, 0.1, 0.0)
-        assert found == pytest.approx(loop.reference, abs=1e-12)
+        assert found == pytest.approx(loop.following.reference, abs=1e-12)
 
 
 def test_a_new_trajectory_begins_where_the_reference_is_as_in_python(active):
@@ -196,7 +196,7 @@ def test_a_new_trajectory_begins_where_the_reference_is_as_in_python(active):
             send(MS, -0.4, now_ns)  # glided onto, as it is under way
         found = reference_of(active, "elbow", now_ns + k * MS, rest)
         loop.step(now_ns + k * MS, *rest[0])
-        assert found == pytest.approx(loop.reference[:2], abs=1e-12)
+        assert found == pytest.approx(loop.following.reference, abs=1e-12)
     assert found == (-0.4, 0.0)
 
 
@@ -209,7 +209,7 @@ def test_a_trajectory_before_the_first_cycle_begins_where_the_joint_is(make):
     for k in range(600):
         found = reference_of(plugin, "elbow", 10**9 + k * MS, [(0.5, 0.0)] * 2)
         loop.step(10**9 + k * MS, 0.5, 0.0)
-        assert found == pytest.approx(loop.reference[:2], abs=1e-12)
+        assert found == pytest.approx(loop.following.reference, abs=1e-12)
 
 
 def test_a_setpoint_is_a_step(active):
@@ -274,7 +274,7 @@ def test_a_trajectory_of_another_time_is_refused_as_python_refuses_it(
     motion = JointTrajectory(("elbow",), (TrajectoryPoint(10**9, (0.3,), (0.0,)),), own)
     with contextlib.suppress(TrajectoryError):
         loop.receive(motion.column("elbow"), carries_on=begun_s == 0)
-    assert loop.has_motion is not bool(reason)
+    assert (loop.following.motion is None) is bool(reason)
 
 
 def test_references_are_refused_while_nobody_may_give_them(make):

@@ -83,7 +83,7 @@ def test_after_a_standstill_of_the_manager_the_state_from_before_is_none(active,
     cycle.as_python(1, speed=speed)
     cycle.stamp_ns += 600 * MS
     for _ in range(10):
-        assert cycle(1, by=0.0, speed=speed)[0] == cycle.given.loop.effort
+        assert cycle(1, by=0.0, speed=speed)[0] == cycle.given.loop.law.effort
     cycle.position += 0.4
     cycle.as_python(200)
     # It may also be where it was: that is believed in the end.

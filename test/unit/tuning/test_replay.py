@@ -232,7 +232,7 @@ def test_after_a_silence_the_loop_takes_over_as_it_did(is_noticed):
 
 def test_states_that_waited_for_a_stopped_controller_have_the_effort_in_force():
     recorder = recorded()
-    effort = recorder.loop.effort
+    effort = recorder.loop.law.effort
     waiting = recorder.stamp_ns
     for _ in range(600):
         recorder.state(is_heard=False)
@@ -252,7 +252,7 @@ def test_a_state_that_was_repeated_has_an_answer_of_its_own():
     recorder = recorded(20)
     recorder.states.append(recorder.states[-1]._replace(place=recorder.place + 500))
     recorder.place += 1000
-    recorder.command(recorder.stamp_ns, recorder.loop.effort)
+    recorder.command(recorder.stamp_ns, recorder.loop.law.effort)
     for _ in range(20):
         recorder.state()
     verdict = recorder.replay()
