@@ -29,11 +29,10 @@ from scipy.integrate import solve_ivp
 
 from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
-from hpid_ros.control.norms import NormType
+from hpid_ros.control.norms import Norm
 from hpid_ros.control.settings import NormSettings
 from hpid_ros.stability.certificate_search import certified_degree_interval
 from hpid_ros.stability.certification import best_spans
-from hpid_ros.stability.closed_loop import Norm
 from hpid_ros.stability.gain_check import integral_ratio
 
 STARTS = 4
@@ -119,7 +118,7 @@ def random_loop(
     gains = Gains(gain_p, random.uniform(0.02, 0.95) * gain_p * gain_d, gain_d)
     if is_in_effort:
         scale = float(10.0 ** random.uniform(-1.5, 1.5))
-        kind: NormType = "weighted" if random.random() < 0.5 else "canonical"
+        kind = "weighted" if random.random() < 0.5 else "canonical"
         return gains, kind, NormSettings(type=kind, effort_scale=scale).family(gains.p, gains.d)
     # The error at rest and the rate at which the norm is 1; the rate is that of the loop's own
     # oscillation about such an error, within an order and a half.

@@ -10,15 +10,13 @@ from simple_pid import PID
 from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.measuring import time_per_item
 from hpid_ros.control import (
-    CanonicalNorm,
     Gains,
     HomogeneousPid,
     JointLoop,
     LoopSettings,
     Pid,
-    WeightedNorm,
 )
-from hpid_ros.control.norms import NormType
+from hpid_ros.control.norms import NORMS
 from hpid_ros.control.settings import (
     EffortLimits,
     EncoderSettings,
@@ -87,11 +85,8 @@ def _error_states(count: int) -> list[tuple[float, float]]:
     return states
 
 
-def _homogeneous(norm: NormType) -> HomogeneousPid:
-    if norm == "weighted":
-        return HomogeneousPid(GAINS, WeightedNorm.scaled(DEGREE, ERROR_SCALE, RATE_WEIGHT))
-    shape = ((ERROR_SCALE**-2, 0.0), (0.0, RATE_WEIGHT**2))
-    return HomogeneousPid(GAINS, CanonicalNorm(DEGREE, shape))
+def _homogeneous(norm: str) -> HomogeneousPid:
+    return HomogeneousPid(GAINS, NORMS[norm].scaled(DEGREE, ERROR_SCALE, RATE_WEIGHT))
 
 
 def _law(make: Callable[[], Pid], count: int) -> Measure:
@@ -125,7 +120,7 @@ def _peer(count: int) -> Measure:
     return measure
 
 
-def _loop(norm: NormType, count: int) -> Measure:
+def _loop(norm: str, count: int) -> Measure:
     """Return the measurement of a joint loop with everything switched on."""
     settings = LoopSettings(
         joint=JOINT,

@@ -147,7 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _row(robot: str, seed: int, travelled: Travelled) -> str:
     found, prediction, verification = travelled[1:]
-    homogeneous = sum(each.law == "hpid" for each in found.settings)
+    homogeneous = sum(each.is_homogeneous for each in found.settings)
     cells = [
         robot,
         str(seed),

@@ -352,7 +352,7 @@ def require_controller(experiment: Experiment | None, label: str, file: Path) ->
 def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
     """Return the loops of the first homogeneous controller, or else of the first."""
     controllers = list(experiment.controllers.values())
-    homogeneous = [each for each in controllers if any(loop.law == "hpid" for loop in each)]
+    homogeneous = [each for each in controllers if any(loop.is_homogeneous for loop in each)]
     return (homogeneous or controllers)[0]
 
 

@@ -26,7 +26,8 @@ from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import Numbers, unit_over
 from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.control.homogeneous_pid import Gains
-from hpid_ros.control.settings import LAWS, LawName, LoopSettings
+from hpid_ros.control.laws import LAWS, LawName
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.metrics.texts import format_ratio
@@ -181,9 +182,9 @@ EFFORT_PARAMETERS = (
 
 def source_label(experiment: Experiment, law: LawName) -> str:
     """Return the label of the controller whose other settings a search keeps."""
-    for label in experiment.controllers if law == "hpid" else ():
+    for label in experiment.controllers if LAWS[law].is_homogeneous else ():
         loops = experiment.controllers[label]
-        if label != experiment.baseline and any(loop.law == "hpid" for loop in loops):
+        if label != experiment.baseline and any(loop.is_homogeneous for loop in loops):
             return label
     return experiment.baseline
 
@@ -195,7 +196,7 @@ _GAINS = ("gains.p", "gains.i", "gains.d")
 class SearchSpace:
     """All that a search may choose from."""
 
-    law: LawName  # pid or hpid
+    law: LawName
     parameters: tuple[FreeParameter, ...]  # the free parameters
     # takes settings and the values by name, and returns other settings
     apply: Callable[..., LoopSettings]
@@ -226,7 +227,7 @@ class SearchSpace:
         apply: Callable[..., LoopSettings]
         changed: tuple[str, ...]
         free: tuple[FreeParameter, ...]
-        if law == "pid":
+        if not LAWS[law].is_homogeneous:
             free = PID_PARAMETERS[: len(PID_PARAMETERS) - (len(start) == 1)]
             for each in start:
                 if not each.gains.p:

@@ -172,7 +172,7 @@ def _is_claimed(entry: StudyEntry, label: str) -> bool:
     """Return whether a controller of an experiment is homogeneous, with the baseline's gains."""
     loops = entry.experiment.controllers.get(label, ())
     gains = [each.gains for each in entry.experiment.controllers[entry.baseline]]
-    is_homogeneous = label != entry.baseline and any(each.law == "hpid" for each in loops)
+    is_homogeneous = label != entry.baseline and any(each.is_homogeneous for each in loops)
     return is_homogeneous and [each.gains for each in loops] == gains
 
 

@@ -282,9 +282,8 @@ def plan_sweep(
     runs = seeds * math.prod(len(axis.values) for axis in axes)
     if runs > LARGEST_SWEEP:
         raise SettingError(f"{runs} runs are too many; at most {LARGEST_SWEEP}")
-    if "law" not in names and all(
-        each.law == "pid" for each in experiment.controllers[controller]
-    ):
+    is_homogeneous = any(each.is_homogeneous for each in experiment.controllers[controller])
+    if "law" not in names and not is_homogeneous:
         for name in names:
             if name == "mu" or name.startswith("norm."):
                 raise SettingError(

@@ -25,6 +25,7 @@ from hpid_ros.base.names import node_word
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_text import dump_yaml, inline_yaml
 from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.norms import NORMS
 from hpid_ros.control.reference import (
     GRACE_NS,
     LARGEST_POSITION,
@@ -43,9 +44,11 @@ from hpid_ros.control.sources import RULE
 from hpid_ros.stability.gain_boxes import GainRange
 from hpid_ros.stability.gain_check import CERTIFICATES
 
+_NORMS_IN_C = [norm for norm in NORMS.values() if norm.c_function]
+
 _CHOICES: Mapping[str, tuple[str, ...]] = {
     "law": ("hpid", "pid"),
-    "norm.type": ("weighted", "canonical"),
+    "norm.type": tuple(norm.type for norm in _NORMS_IN_C),
     "discretization": ("explicit", "semi_implicit"),
     "antiwindup_strategy": ("none", "conditional_integration", "back_calculation"),
     "velocity_source": ("measured", "filtered", "homogeneous_differentiator"),
@@ -347,6 +350,7 @@ def c_files(
         "version": __version__,
         "is_single": precision == "single",
         "fields": FIELDS,
+        "norms": _NORMS_IN_C,
         "values": values,
         "golden": golden_vectors(settings),
         "math": math,

@@ -213,7 +213,7 @@ def _designed(
         reason = reason or str(found)
     else:
         interval = found.lower, found.upper
-        if settings.law == "hpid" and not found.contains(settings.mu):
+        if settings.is_homogeneous and not found.contains(settings.mu):
             reason = reason or f"mu = {settings.mu:g} is outside the certified interval"
     return DesignedGains(inertia[0], settings.gains, margins, interval, reason)
 

@@ -738,4 +738,4 @@ def _after(loops: Sequence[LoopSettings], found: Mapping[str, Upgrade]) -> list[
 
 def _changed(found: Mapping[str, Upgrade]) -> list[str]:
     """Return the joints that do not keep their PID."""
-    return [name for name, each in found.items() if each.settings.law != "pid"]
+    return [name for name, each in found.items() if each.settings.is_homogeneous]

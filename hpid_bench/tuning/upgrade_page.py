@@ -53,7 +53,7 @@ def first_steps(found: BagUpgrade, files: Mapping[str, Path]) -> list[tuple[str,
             ),
             ("See whether the parameters are those that ran.", (f"hpid replay {bag}{params}",)),
         ]
-    changed = [each for each in found.settings if each.law == "hpid"]
+    changed = [each for each in found.settings if each.is_homogeneous]
     if not changed:
         return [
             ("Nothing needs to be tried: keep what you have.", ()),
@@ -159,7 +159,7 @@ def summary(found: BagUpgrade) -> str:
             changes = " and ".join(_change(each, ratios[each.key]) for each in (IVC, ITAE))
             text += f" The goal {goal} would bring {changes}."
         return text
-    laws = [each.law == "hpid" for each in found.settings]
+    laws = [each.is_homogeneous for each in found.settings]
     which = "all joints" if all(laws) else f"{sum(laws)} of {len(laws)} joints"
     expected = " and ".join(
         _expected(each, found.prediction.total(each.key)) for each in (IVC, ITAE)
@@ -371,7 +371,7 @@ def _changes(found: BagUpgrade) -> Iterator[Block]:
     kept = [
         (joint, _own(found, joint, each.reasons["law"]))
         for joint, each in found.proposals.found.items()
-        if each.settings.law == "pid"
+        if not each.settings.is_homogeneous
     ]
     if kept:
         yield Heading("What stays")

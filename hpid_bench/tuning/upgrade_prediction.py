@@ -21,6 +21,7 @@ from hpid_ros.base.files import load_json
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.laws import LAWS
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings import LoopSettings, NormSettings
 from hpid_ros.messages.messages import read_retunes
@@ -378,11 +379,12 @@ def _ran(prediction: Prediction, after: Path) -> tuple[tuple[str, ...], tuple[st
         line = "the recording after does not hold its controllers' parameters: taken as proposed"
         return (), (line,)
     others = []
+    linear = [name for name, law in LAWS.items() if not law.needs_norm]
     for joint, proposed in prediction.parameters.items():
         if joint not in controllers:
             continue
         ran = controllers[joint].settings.to_parameters()
-        has_norm = proposed.get("law") != "pid"  # a PID's makes no difference
+        has_norm = proposed.get("law") not in linear  # a PID's makes no difference
         unlike = [
             f"{name} {ran.get(name)!r} for {value!r}"
             for name, value in proposed.items()

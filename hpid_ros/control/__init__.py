@@ -3,7 +3,7 @@
 from hpid_ros.control.homogeneous_pid import Gains, HomogeneousPid, Pid
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.model import ModelTerm
-from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
+from hpid_ros.control.norms import CanonicalNorm, Norm, WeightedNorm
 from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "JointLoop",
     "LoopSettings",
     "ModelTerm",
+    "Norm",
     "Pid",
     "WeightedNorm",
 ]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 
 from hpid_ros.control.homogeneous_pid import HomogeneousPid, Pid, SemiImplicitHomogeneousPid
+from hpid_ros.control.laws import LawName
 from hpid_ros.control.limits import AntiWindup, MotionBounds, MotionLimits, anti_windup
-from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
+from hpid_ros.control.norms import Norm
 from hpid_ros.control.reference import FeedforwardGains
 from hpid_ros.control.settings import (
     LARGEST_MOTION,
@@ -31,21 +33,26 @@ _INNOVATION_SCALE = 1e-3  # [rad], where the encoder's step is unknown
 _K_POSITION = 10.0  # [1/s], of a soft stop where the gains say nothing
 
 
-def make_norm(settings: LoopSettings) -> WeightedNorm | CanonicalNorm:
+def make_norm(settings: LoopSettings) -> Norm:
     """Return the norm of degree ``mu``, whether or not the law uses it."""
     return settings.norm_family(settings.mu)
 
 
-def make_law(settings: LoopSettings) -> Pid | HomogeneousPid:
+def make_law(settings: LoopSettings) -> Pid:
     """Return the control law, its integral at zero."""
-    is_implicit = settings.discretization == "semi_implicit"
-    if settings.law not in ("pid", "hpid"):
-        raise NotImplementedError(f"law {settings.law}")
-    if settings.law == "pid" and not is_implicit:
-        return Pid(settings.gains)
+    return _MAKERS[settings.law](settings)
+
+
+def _make_pid(settings: LoopSettings) -> Pid:
+    if settings.discretization == "semi_implicit":  # which is the homogeneous one of degree 0
+        return _make_hpid(settings)
+    return Pid(settings.gains)
+
+
+def _make_hpid(settings: LoopSettings) -> HomogeneousPid:
     norm = settings.norm_family(settings.degree)
     floor, cap = settings.norm_floor, settings.norm.cap
-    if not is_implicit:
+    if settings.discretization == "explicit":
         return HomogeneousPid(settings.gains, norm, floor, cap)
     return SemiImplicitHomogeneousPid(
         settings.gains,
@@ -55,6 +62,9 @@ def make_law(settings: LoopSettings) -> Pid | HomogeneousPid:
         inertia=settings.plant_inertia,
         period=settings.timing.control_period,
     )
+
+
+_MAKERS: Mapping[LawName, Callable[[LoopSettings], Pid]] = {"pid": _make_pid, "hpid": _make_hpid}
 
 
 def observer_design(settings: LoopSettings) -> ObserverDesign | None:

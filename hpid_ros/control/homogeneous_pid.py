@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.base.records import Record, quantity
-from hpid_ros.control.norms import WeightedNorm, require_floor
+from hpid_ros.control.norms import Norm, WeightedNorm, require_floor
 
 
 def _gain(term: str, unit: str) -> Any:
@@ -151,17 +151,6 @@ class Pid:
         self._integral = integral
 
 
-class HomogeneousNorm(Protocol):
-    """Anything that is called as a homogeneous norm and knows its degree."""
-
-    @property
-    def degree(self) -> float:
-        """Homogeneity degree mu."""
-
-    def __call__(self, error: float, error_rate: float) -> float:
-        """Return the norm of (error, error rate)."""
-
-
 _LARGEST_MULTIPLIER = 1e100  # its cube times a gain is finite, so that it times no error is 0
 
 
@@ -186,25 +175,30 @@ class HomogeneousPid(Pid):
         NormError: The floor is negative or not below the cap.
     """
 
-    __slots__ = ("_at_zero", "_degree", "_weights", "norm", "norm_cap", "norm_floor")
+    __slots__ = ("_at_zero", "_degree", "_norm", "_weights", "norm_cap", "norm_floor")
 
     def __init__(
         self,
         gains: Gains,
-        norm: HomogeneousNorm,
+        norm: Norm,
         norm_floor: float = 0.0,
         norm_cap: float = math.inf,
     ) -> None:
         require_floor(norm_floor, norm_cap)
         super().__init__(gains)
-        self.norm = norm
+        self._norm = norm
         self._degree = norm.degree
         self.norm_floor = norm_floor
         self.norm_cap = norm_cap
         self._at_zero = 1.0 if norm.degree == 0.0 else 0.0
         self._weights: tuple[float, float, float] | None = None
-        if type(norm) is WeightedNorm:
+        if isinstance(norm, WeightedNorm) and type(norm).__call__ is WeightedNorm.__call__:
             self._weights = norm.error_weight, norm.error_exponent, norm.rate_weight
+
+    @property
+    def norm(self) -> Norm:
+        """The homogeneous norm."""
+        return self._norm
 
     def multiplier(self, error: float, error_rate: float) -> float:
         r"""Return :math:`n^\mu`, the factor of the loop's bandwidth.
@@ -216,7 +210,7 @@ class HomogeneousPid(Pid):
             error: Reference minus measured position, in [rad].
             error_rate: Its time derivative, in [rad/s].
         """
-        n = min(max(self.norm(error, error_rate), self.norm_floor), self.norm_cap)
+        n = min(max(self._norm(error, error_rate), self.norm_floor), self.norm_cap)
         return min(n**self._degree, _LARGEST_MULTIPLIER) if n else self._at_zero
 
     def answer(self, error: float, error_rate: float, dt: float) -> tuple[float, float, float]:
@@ -235,7 +229,7 @@ class HomogeneousPid(Pid):
         # much as all the arithmetic.
         weights = self._weights
         if weights is None:
-            n = self.norm(error, error_rate)
+            n = self._norm(error, error_rate)
         else:
             error_weight, exponent, rate_weight = weights
             n = error_weight * abs(error) ** exponent + rate_weight * abs(error_rate)
@@ -278,7 +272,7 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
     def __init__(
         self,
         gains: Gains,
-        norm: HomogeneousNorm,
+        norm: Norm,
         norm_floor: float = 0.0,
         norm_cap: float = math.inf,
         *,

@@ -4,17 +4,24 @@ The dilation is :math:`d(s) = \mathrm{diag}(e^{(1-\mu)s}, e^{s})` on (error, err
 homogeneous norm is continuous, positive definite and scales as :math:`\|d(s)x\|_d = e^s \|x\|_d`.
 
 Source: the paper, section "Homogeneous norm".
+
+A class is all that there is of a norm: what a loop calls, the same for many points at once, which
+certificates need, its names in parameters and in C, and what of it is saved.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
-from hpid_ros.base.errors import NormError
+import numpy as np
+
+from hpid_ros.base.errors import NormError, SettingError
+from hpid_ros.base.units import Numbers
 
 DEGREE_LIMIT = 0.5
 """Degrees lie strictly between minus and plus this."""
@@ -23,9 +30,6 @@ GOOD_SAMPLING_MARGIN = 0.25
 """T kd lam / m up to which sampling is not felt; see
 :func:`~hpid_ros.stability.gain_check.sampling_margin`."""
 
-NormType = Literal["weighted", "canonical"]
-"""The norms by name."""
-
 
 def require_degree(degree: float) -> None:
     """Refuse a homogeneity degree that the law does not allow."""
@@ -33,7 +37,105 @@ def require_degree(degree: float) -> None:
         raise NormError(f"the degree mu must lie in (-0.5, 0.5), not {degree}")
 
 
-class WeightedNorm:
+class Norm(ABC):
+    """A homogeneous norm of one degree.
+
+    A norm of one's own needs ``degree``, ``__call__`` and ``values``. Both must be the same
+    function: what is certified is that of ``values``, and a certificate is refused where they
+    differ. One that parameters can name is in :data:`NORMS`, and has all that is here.
+
+    Attributes:
+        degree: Homogeneity degree mu, in (-0.5, 0.5).
+    """
+
+    __slots__ = ()
+
+    type: ClassVar[str] = ""  # its name in norm.type, and in C
+    c_function: ClassVar[str] = ""  # its name in tuning/templates/loop.c; empty: not exported
+    constants: ClassVar[tuple[str, ...]] = ()  # what it is made of, after its degree
+
+    degree: float
+
+    @classmethod
+    def scaled(cls, degree: float, error_scale: float, rate_weight: float) -> Norm:
+        """Return the norm that is 1 for an error of ``error_scale`` at rest.
+
+        It is a function of error / error_scale and rate_weight x error rate alone: certificates
+        of loops that differ by their units are computed once.
+
+        Args:
+            degree: Homogeneity degree mu, in (-0.5, 0.5).
+            error_scale: e_max in [rad].
+            rate_weight: Weight of the error rate, in [s/rad].
+
+        Raises:
+            NormError: There is no such norm.
+        """
+        raise NormError(f"a {cls.__name__} is not made of norm.error_scale and norm.rate_weight")
+
+    @abstractmethod
+    def __call__(self, error: float, error_rate: float) -> float:
+        """Return the norm; zero only at the origin.
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+        """
+
+    @abstractmethod
+    def values(self, errors: Numbers, rates: Numbers) -> Numbers:
+        """Return the norm of many points.
+
+        Args:
+            errors: In [rad], of any shape.
+            rates: In [rad/s], of the same shape.
+        """
+
+    def directions(self, count: int) -> Numbers:
+        """Return points in all directions, closely spaced near the axes.
+
+        Args:
+            count: Points in each quadrant, the axes included.
+
+        Returns:
+            Error in [rad] and error rate in [rad/s], of shape (4 count, 2), of any norm.
+        """
+        error, rate = self.values(np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+        return _quadrants(count, self.degree, error, rate)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return what of it is saved in a certificate, as plain data."""
+        if NORMS.get(self.type) is not type(self):
+            raise SettingError(f"a certificate of a {type(self).__name__} cannot be saved")
+        own = {name: np.asarray(getattr(self, name)).tolist() for name in self.constants}
+        return {"type": self.type, "degree": self.degree, **own}
+
+    def __repr__(self) -> str:
+        values = [self.degree, *(getattr(self, name) for name in self.constants)]
+        return f"{type(self).__name__}({', '.join(map(str, values))})"
+
+
+def norm_from_mapping(mapping: Mapping[str, Any]) -> Norm:
+    """Return the norm that :meth:`Norm.to_mapping` gave."""
+    kind: Any = NORMS.get(str(mapping["type"]))
+    if kind is None:
+        raise SettingError(f"a norm must be {' or '.join(NORMS)}, not {mapping['type']!r}")
+    norm: Norm = kind(mapping["degree"], *(mapping[name] for name in kind.constants))
+    return norm
+
+
+def _quadrants(count: int, degree: float, error_weight: float, rate_weight: float) -> Numbers:
+    """Return points on the curve of the weighted norm, closely spaced near the axes."""
+    share = np.sin(np.linspace(0.0, 0.5 * np.pi, count)) ** 2
+    error = (share / error_weight) ** (1.0 - degree)
+    rate = (1.0 - share) / rate_weight
+    quadrant = np.stack([error, rate], axis=1)
+    signs = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    return np.asarray((signs[:, None, :] * quadrant[None, :, :]).reshape(-1, 2))
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class WeightedNorm(Norm):
     r"""Weighted homogeneous norm.
 
     .. math:: \|(e, \dot e)\|_d = \gamma_1 |e|^{1/(1-\mu)} + \gamma_2 |\dot e|
@@ -49,16 +151,23 @@ class WeightedNorm:
         NormError: The degree is out of range or a weight is not positive and finite.
     """
 
-    __slots__ = ("degree", "error_exponent", "error_weight", "rate_weight")
+    # Frozen: a law writes it out with the constants that it has when the law is made.
+    type = "weighted"
+    c_function = "weighted_norm"
+    constants = ("error_weight", "rate_weight")
 
-    def __init__(self, degree: float, error_weight: float, rate_weight: float) -> None:
-        require_degree(degree)
-        for name, value in (("error_weight", error_weight), ("rate_weight", rate_weight)):
-            _require_positive(name, value)
-        self.degree = float(degree)
-        self.error_weight = float(error_weight)
-        self.rate_weight = float(rate_weight)
-        self.error_exponent = 1.0 / (1.0 - degree)
+    degree: float
+    error_weight: float
+    rate_weight: float
+    error_exponent: float = field(init=False)  # 1 / (1 - mu)
+
+    def __post_init__(self) -> None:
+        require_degree(self.degree)
+        for name in self.constants:
+            _require_positive(name, getattr(self, name))
+        for name in ("degree", *self.constants):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        object.__setattr__(self, "error_exponent", 1.0 / (1.0 - self.degree))
 
     @classmethod
     def scaled(cls, degree: float, error_scale: float, rate_weight: float) -> WeightedNorm:
@@ -87,11 +196,26 @@ class WeightedNorm:
         weighted_error: float = self.error_weight * abs(error) ** self.error_exponent
         return weighted_error + self.rate_weight * abs(error_rate)
 
-    def __repr__(self) -> str:
-        return f"WeightedNorm({self.degree}, {self.error_weight}, {self.rate_weight})"
+    def values(self, errors: Numbers, rates: Numbers) -> Numbers:
+        """Return the norm of many points.
+
+        Args:
+            errors: In [rad], of any shape.
+            rates: In [rad/s], of the same shape.
+        """
+        power = np.abs(errors) ** self.error_exponent
+        return np.asarray(self.error_weight * power + self.rate_weight * np.abs(rates))
+
+    def directions(self, count: int) -> Numbers:
+        """Return points of norm 1, closely spaced near the axes.
+
+        Args:
+            count: Points in each quadrant, the axes included.
+        """
+        return _quadrants(count, self.degree, self.error_weight, self.rate_weight)
 
 
-class CanonicalNorm:
+class CanonicalNorm(Norm):
     r"""Canonical homogeneous norm: the n > 0 with :math:`\|d(-\ln n)\,x\|_P = 1`.
 
     Source: the paper, equation (3), with the weighted Euclidean norm of P; monotone if and only
@@ -108,6 +232,10 @@ class CanonicalNorm:
     """
 
     __slots__ = ("_fastest", "_p11", "_p12", "_p22", "_slowest", "degree")
+
+    type = "canonical"
+    c_function = "canonical_norm"
+    constants = ("shape",)
 
     _SLOPE_MARGIN = 1e-6
     _TOLERANCE = 1e-15
@@ -126,6 +254,29 @@ class CanonicalNorm:
         self.degree = float(degree)
         self._p11, self._p12, self._p22 = p11, p12, p22
         self._slowest, self._fastest = self._slopes()
+
+    @classmethod
+    def scaled(cls, degree: float, error_scale: float, rate_weight: float) -> CanonicalNorm:
+        r"""Return the norm of :math:`P = \mathrm{diag}(e_{max}^{-2}, \gamma_2^2)`.
+
+        An error of ``error_scale`` at rest has norm 1 whatever the degree.
+
+        Args:
+            degree: Homogeneity degree mu, in (-0.5, 0.5).
+            error_scale: e_max in [rad], fixed in advance.
+            rate_weight: gamma_2 in [s/rad].
+
+        Raises:
+            NormError: As for the class.
+        """
+        try:
+            shape = (error_scale**-2, 0.0), (0.0, rate_weight**2)
+        except (OverflowError, ZeroDivisionError):
+            raise NormError(
+                f"an error_scale of {error_scale:g} rad and a rate_weight of "
+                f"{rate_weight:g} s/rad are too small or too large for a canonical norm"
+            ) from None
+        return cls(degree, shape)
 
     @property
     def shape(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -197,34 +348,106 @@ class CanonicalNorm:
                 break
         return s
 
-    def __repr__(self) -> str:
-        return f"CanonicalNorm({self.degree}, {self.shape})"
+    def values(self, errors: Numbers, rates: Numbers) -> Numbers:
+        """Return the norm of many points.
+
+        Args:
+            errors: In [rad], of any shape.
+            rates: In [rad/s], of the same shape.
+        """
+        return canonical_values(self.degree, (self._p11, self._p12, self._p22), errors, rates)
+
+    def directions(self, count: int) -> Numbers:
+        """Return points of norm 1, closely spaced near the axes.
+
+        Args:
+            count: Points in each quadrant, the axes included.
+        """
+        angle = np.linspace(0.0, 0.5 * np.pi, count)
+        around = (angle[None, :] + 0.5 * np.pi * np.arange(4.0)[:, None]).ravel()
+        p11, p12, p22 = self._p11, self._p12, self._p22
+        # Directions are spread evenly in units in which P has a unit diagonal.
+        direction = np.stack(
+            [np.cos(around) / np.sqrt(p11), np.sin(around) / np.sqrt(p22)], axis=1
+        )
+        square = (
+            p11 * direction[:, 0] ** 2
+            + 2.0 * p12 * direction[:, 0] * direction[:, 1]
+            + p22 * direction[:, 1] ** 2
+        )
+        return np.asarray(direction / np.sqrt(square)[:, None])
+
+
+_ARRAY_STEPS = 60
+_ARRAY_TOLERANCE = 1e-14
+_LEAST = np.finfo(float).tiny
+
+
+def canonical_values(
+    degree: float,
+    shape: tuple[float | Numbers, float | Numbers, float | Numbers],
+    e: Numbers,
+    de: Numbers,
+    tolerance: float = _ARRAY_TOLERANCE,
+) -> Numbers:
+    """Return the canonical norm of many points.
+
+    Newton's method in s = ln n on all points at once. The function is strictly monotone with
+    slopes between the eigenvalues of the dilation's generator, so that a bracket exists; a point
+    whose step leaves its own bracket is bisected.
+    """
+    p11, p12, p22 = shape
+    r = 1.0 - degree
+    # Brought to unit size, the inverse of a subnormal number would overflow.
+    e, de = (np.where(np.abs(x) < _LEAST, 0.0, x) for x in (e, de))
+    with np.errstate(divide="ignore"):
+        scale = np.maximum(np.log(np.abs(e)) / r, np.log(np.abs(de)))
+    is_zero = np.isneginf(scale)
+    scale = np.where(is_zero, 0.0, scale)
+    y1, y2 = e * np.exp(-r * scale), de * np.exp(-scale)
+    y1 = np.where(is_zero, 1.0, y1)  # any point that is not zero; its norm is discarded
+    first, cross, second = p11 * y1 * y1, 2.0 * p12 * y1 * y2, p22 * y2 * y2
+    s = 0.5 * np.log(first + cross + second)
+    low, high = np.full_like(s, -np.inf), np.full_like(s, np.inf)
+    for _ in range(_ARRAY_STEPS):
+        u, v = np.exp(-r * s), np.exp(-s)
+        a, b, c = first * (u * u), cross * (u * v), second * (v * v)
+        square = a + b + c
+        value = np.log(square)
+        is_inside = value > 0.0
+        np.copyto(low, s, where=is_inside)
+        np.copyto(high, s, where=~is_inside)
+        step = 0.5 * value * square / (r * a + 0.5 * (1.0 + r) * b + c)
+        after = s + step
+        outside = (after < low) | (after > high)
+        if outside.any():
+            middle = np.where(np.isfinite(low + high), 0.5 * (low + high), after)
+            after = np.where(outside, middle, after)
+        moved = np.abs(after - s) > tolerance * (1.0 + np.abs(after))
+        s = after
+        if not moved.any():
+            break
+    return np.asarray(np.where(is_zero, 0.0, np.exp(scale + s)))
+
+
+NORMS: Mapping[str, type[Norm]] = {kind.type: kind for kind in (WeightedNorm, CanonicalNorm)}
+"""The norms that parameters can name, by the value of norm.type."""
 
 
 @dataclass(frozen=True)
 class NormFamily:
     """A norm for every degree, all of them 1 for an error of ``error_scale`` at rest."""
 
-    type: NormType  # of the norm
+    type: str  # a name of NORMS
     error_scale: float  # [rad] e_max
     rate_weight: float  # [s/rad] weight of the error rate
 
-    def __call__(self, degree: float) -> WeightedNorm | CanonicalNorm:
+    def __call__(self, degree: float) -> Norm:
         """Return the norm of a degree."""
-        if self.type == "weighted":
-            return WeightedNorm.scaled(degree, self.error_scale, self.rate_weight)
-        if self.type == "canonical":
-            return CanonicalNorm(degree, self._shape())
-        raise NormError(f"there is no norm of type {self.type!r}")
-
-    def _shape(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        try:
-            return (self.error_scale**-2, 0.0), (0.0, self.rate_weight**2)
-        except (OverflowError, ZeroDivisionError):
-            raise NormError(
-                f"an error_scale of {self.error_scale:g} rad and a rate_weight of "
-                f"{self.rate_weight:g} s/rad are too small or too large for a canonical norm"
-            ) from None
+        kind = NORMS.get(self.type)
+        if kind is None:
+            raise NormError(f"there is no norm of type {self.type!r}")
+        return kind.scaled(degree, self.error_scale, self.rate_weight)
 
 
 def require_floor(floor: float, cap: float) -> None:
@@ -236,7 +459,7 @@ def require_floor(floor: float, cap: float) -> None:
 
 
 def sampling_floor(
-    norm: WeightedNorm | CanonicalNorm,
+    norm: Norm,
     *,
     period: float,
     damping_rate: float,  # [1/s] kd / m

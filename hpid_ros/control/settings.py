@@ -23,20 +23,17 @@ from hpid_ros.base.records import (
     to_parameters,
 )
 from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
+from hpid_ros.control.laws import LAWS, LawName
 from hpid_ros.control.limits import AntiWindupStrategy
 from hpid_ros.control.model import ModelSettings
 from hpid_ros.control.norms import (
+    NORMS,
     NormFamily,
-    NormType,
     require_degree,
     require_floor,
     sampling_floor,
 )
 from hpid_ros.control.velocity import LARGEST_OBSERVER_DEGREE, LEAST_OBSERVER_DEGREE
-
-LawName = Literal["hpid", "pid"]
-LAWS: Mapping[LawName, str] = {"pid": "PID", "hpid": "hPID"}
-"""The laws and what they are called; ``make_law`` makes them."""
 
 Discretization = Literal["explicit", "semi_implicit"]
 """Steps of the law, see :mod:`hpid_ros.control.homogeneous_pid`."""
@@ -82,7 +79,7 @@ LEAST_WRAP = 1e-6
 class NormSettings(Record, prefix="norm."):
     """The homogeneous norm: what it is, and between which bounds it is used."""
 
-    type: NormType = quantity("Homogeneous norm", default="weighted")
+    type: str = quantity("Homogeneous norm", default="weighted", choices=tuple(NORMS))
     error_scale: float = quantity(
         "Error at rest whose norm is 1, e_max", "rad", default=1.0, least=1e-6, most=LARGEST_NORM
     )
@@ -538,7 +535,7 @@ class LoopSettings(Record):
         if self._lacks_inertia:  # a model gives it later
             return
         self.norm_family(self.degree)
-        if self.law == "hpid" or is_implicit:
+        if LAWS[self.law].needs_norm or is_implicit:
             require_floor(self.norm_floor, self.norm.cap)
 
     def _require_feedforward(self) -> None:
@@ -588,9 +585,14 @@ class LoopSettings(Record):
         return from_parameters(type(self), {**to_parameters(self), **changes})
 
     @property
+    def is_homogeneous(self) -> bool:
+        """Whether the law is a homogeneous one; otherwise it is linear."""
+        return LAWS[self.law].is_homogeneous
+
+    @property
     def degree(self) -> float:
         """The degree of the law: ``mu``, or 0 where the law is linear."""
-        return self.mu if self.law == "hpid" else 0.0
+        return self.mu if self.is_homogeneous else 0.0
 
     @property
     def plant_inertia(self) -> float:

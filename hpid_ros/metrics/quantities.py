@@ -23,7 +23,6 @@ from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.series import JointSeries, RunSeries, SeriesError, seconds_since
-from hpid_ros.stability.closed_loop import norm_values
 
 DEGREES_PER_RADIAN = 180.0 / math.pi
 ANGLE_UNITS = ("rad", "deg")  # units in which angles can be given
@@ -218,7 +217,7 @@ def gain_signals(
 
 def _signals(series: JointSeries, settings: LoopSettings) -> GainSignals:
     law, norm = make_law(settings), make_norm(settings)
-    values = norm_values(norm, series.error, _error_rate(series, settings))
+    values = norm.values(series.error, _error_rate(series, settings))
     if not isinstance(law, HomogeneousPid):
         multiplier = np.ones_like(values)
     else:

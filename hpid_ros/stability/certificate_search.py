@@ -30,17 +30,15 @@ import numpy as np
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains
+from hpid_ros.control.norms import Norm, canonical_values
 from hpid_ros.stability.certification import require_certifiable
 from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
-    Norm,
     ScaledGains,
     as_matrix,
-    canonical_values,
     effective_gains,
-    norm_values,
-    require_known_norm,
+    require_certifiable_norm,
     unit_curve,
 )
 
@@ -196,7 +194,7 @@ class SphereGrid:
         # The rim itself: x'Sx = 1 by the factor of S; its norm is the outer value there.
         second = self._circle[1] / np.sqrt(s22 - s12 * s12 / s11)
         first = self._circle[0] / np.sqrt(s11) - s12 / s11 * second
-        rim = norm_values(self._norm, first, self._unit * second)
+        rim = self._norm.values(first, self._unit * second)
         error = np.concatenate([outer ** (1.0 - mu) * self._error, first], axis=-1)
         rate = np.concatenate([outer * self._rate, second], axis=-1)
         multiplier = np.concatenate([outer, rim], axis=-1) ** mu
@@ -439,19 +437,24 @@ class CertificateSearch:
         self._inertia = inertia
         self._effective = effective_gains(gains, inertia)
         self._norm_of_degree = norm_of_degree
+        self._norms: dict[float, Norm] = {}
         slowest = -np.linalg.eigvals(scaled_loop(self._effective)).real.max()
         self._margin = min(_MARGIN, _MARGIN_OF_SLOW_LOOP * float(slowest))
         self._seen: dict[tuple[float, bytes], float] = {}
         self._first_shapes = first_shapes(self._effective, self.norm(first_degree))
 
     def norm(self, degree: float) -> Norm:
+        known = self._norms.get(degree)
+        if known is not None:
+            return known
         norm = self._norm_of_degree(degree)
-        require_known_norm(norm)
+        require_certifiable_norm(norm)
         if norm.degree != degree:
             raise NormError(
                 f"norm_of_degree must give a norm of the degree it is asked for: "
                 f"asked {degree}, got {norm!r}"
             )
+        self._norms[degree] = norm
         return norm
 
     def outward(
@@ -618,7 +621,7 @@ def certify_degree(
     gains: Gains, norm: Norm, inertia: float | tuple[float, float] = 1.0
 ) -> Certificate:
     """Return a certificate of one degree, its decay made as fast as the search can."""
-    require_known_norm(norm)
+    require_certifiable_norm(norm)
     spans = [
         CertificateSearch(gains, each, lambda degree: norm, norm.degree).at(norm.degree)
         for each in require_certifiable(gains, inertia)

@@ -20,11 +20,12 @@ import numpy as np
 from hpid_ros.base.errors import GainError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
+from hpid_ros.control.norms import Norm
 from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
-    Norm,
     closed_loop_field,
+    require_certifiable_norm,
 )
 
 _ANGLES_EVEN = 240
@@ -79,6 +80,7 @@ def best_spans(certificate: Certificate, norm: Norm) -> list[tuple[CertifiedSpan
 
 def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> Margins:
     """Return by how much a span's P holds at one degree; negative where it does not."""
+    require_certifiable_norm(norm)
     shape, degree = np.array(span.shape), norm.degree
     exponents = np.array([1.0 - degree, 1.0, 1.0 + degree])
     product = shape * exponents

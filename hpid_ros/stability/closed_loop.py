@@ -1,8 +1,5 @@
 """The closed loop around one joint, and certificates of its stability as plain data.
 
-The scalar norms of :mod:`hpid_ros.control.norms` are what a loop calls; these give the same
-values for many points at once.
-
 The state is x = (e, de/dt, d): position error in [rad], its rate in [rad/s], and what the
 integral does not yet compensate of the disturbance, d = (p - I) / inertia in [rad/s^2].
 """
@@ -19,102 +16,53 @@ from numpy.typing import ArrayLike
 from hpid_ros.base.errors import HpidError, NormError, SettingError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains
-from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
+from hpid_ros.control.norms import Norm, norm_from_mapping
 
-Norm = WeightedNorm | CanonicalNorm
-
-_NEWTON_STEPS = 60
-_TOLERANCE = 1e-14
-_LEAST = np.finfo(float).tiny
+_AGREEMENT = 1e-9  # relative, of a norm's two forms
+_ROUNDING = 1e-10  # relative, of points that are on the curve
+_POINTS = 3  # in each quadrant
 
 
-def require_known_norm(norm: object) -> None:
-    """Refuse a norm that is neither weighted nor canonical."""
-    if not isinstance(norm, WeightedNorm | CanonicalNorm):
-        raise NormError(
-            f"the norm must be a WeightedNorm or a CanonicalNorm, not {type(norm).__name__}"
-        )
+def require_certifiable_norm(norm: object) -> None:
+    """Refuse a norm whose certificate would not be that of the loop.
 
-
-def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Numbers:
-    """Return the norm of many points."""
-    require_known_norm(norm)
-    e, de = np.broadcast_arrays(np.asarray(errors, float), np.asarray(rates, float))
-    if isinstance(norm, WeightedNorm):
-        power = np.abs(e) ** (1.0 / (1.0 - norm.degree))
-        return np.asarray(norm.error_weight * power + norm.rate_weight * np.abs(de))
-    (p11, p12), (_, p22) = norm.shape
-    return canonical_values(norm.degree, (p11, p12, p22), e, de)
-
-
-def canonical_values(
-    degree: float,
-    shape: tuple[float | Numbers, float | Numbers, float | Numbers],
-    e: Numbers,
-    de: Numbers,
-    tolerance: float = _TOLERANCE,
-) -> Numbers:
-    """Return the canonical norm of many points.
-
-    Newton's method in s = ln n on all points at once. The function is strictly monotone with
-    slopes between the eigenvalues of the dilation's generator, so that a bracket exists; a point
-    whose step leaves its own bracket is bisected.
+    What a loop calls must be its array form, and scale as its degree says.
     """
-    p11, p12, p22 = shape
-    r = 1.0 - degree
-    # Brought to unit size, the inverse of a subnormal number would overflow.
-    e, de = (np.where(np.abs(x) < _LEAST, 0.0, x) for x in (e, de))
-    with np.errstate(divide="ignore"):
-        scale = np.maximum(np.log(np.abs(e)) / r, np.log(np.abs(de)))
-    is_zero = np.isneginf(scale)
-    scale = np.where(is_zero, 0.0, scale)
-    y1, y2 = e * np.exp(-r * scale), de * np.exp(-scale)
-    y1 = np.where(is_zero, 1.0, y1)  # any point that is not zero; its norm is discarded
-    first, cross, second = p11 * y1 * y1, 2.0 * p12 * y1 * y2, p22 * y2 * y2
-    s = 0.5 * np.log(first + cross + second)
-    low, high = np.full_like(s, -np.inf), np.full_like(s, np.inf)
-    for _ in range(_NEWTON_STEPS):
-        u, v = np.exp(-r * s), np.exp(-s)
-        a, b, c = first * (u * u), cross * (u * v), second * (v * v)
-        square = a + b + c
-        value = np.log(square)
-        is_inside = value > 0.0
-        np.copyto(low, s, where=is_inside)
-        np.copyto(high, s, where=~is_inside)
-        step = 0.5 * value * square / (r * a + 0.5 * (1.0 + r) * b + c)
-        after = s + step
-        outside = (after < low) | (after > high)
-        if outside.any():
-            middle = np.where(np.isfinite(low + high), 0.5 * (low + high), after)
-            after = np.where(outside, middle, after)
-        moved = np.abs(after - s) > tolerance * (1.0 + np.abs(after))
-        s = after
-        if not moved.any():
-            break
-    return np.asarray(np.where(is_zero, 0.0, np.exp(scale + s)))
+    name = type(norm).__name__
+    if not isinstance(norm, Norm):
+        raise NormError(
+            f"a norm is certified by its array form: derive {name} from hpid_ros.control.Norm, "
+            "with values next to __call__"
+        )
+    with np.errstate(all="ignore"):  # what is no norm may be zero or not a number
+        curve = unit_curve(norm, _POINTS)
+        points = np.concatenate([curve, curve * (np.e ** (1.0 - norm.degree), np.e)])
+        values = norm.values(*points.T)
+        expected = np.repeat([1.0, np.e], len(curve))
+        for (error, rate), value, size in zip(
+            points.tolist(), values.tolist(), expected.tolist(), strict=True
+        ):
+            where = f"at {error:.3g} rad and {rate:.3g} rad/s"
+            if not abs(value - size) <= _AGREEMENT * size:
+                raise NormError(
+                    f"{name} is not homogeneous of degree {norm.degree:g}: {where} it is "
+                    f"{value:.3g}, not {size:.3g}"
+                )
+            number = norm(error, rate)
+            if not abs(number - value) <= _AGREEMENT * value:
+                raise NormError(
+                    f"{name} is {number:.3g} in the loop and {value:.3g} in its array form "
+                    f"{where}: __call__ and values must be one function"
+                )
 
 
 def unit_curve(norm: Norm, count: int) -> Numbers:
     """Return points on the curve norm = 1, closely spaced near the axes."""
-    require_known_norm(norm)
-    angle = np.linspace(0.0, 0.5 * np.pi, count)
-    if isinstance(norm, WeightedNorm):
-        share = np.sin(angle) ** 2
-        error = (share / norm.error_weight) ** (1.0 - norm.degree)
-        rate = (1.0 - share) / norm.rate_weight
-        quadrant = np.stack([error, rate], axis=1)
-        signs = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-        return (signs[:, None, :] * quadrant[None, :, :]).reshape(-1, 2)
-    around = (angle[None, :] + 0.5 * np.pi * np.arange(4.0)[:, None]).ravel()
-    (p11, p12), (_, p22) = norm.shape
-    # Directions are spread evenly in units in which P has a unit diagonal.
-    direction = np.stack([np.cos(around) / np.sqrt(p11), np.sin(around) / np.sqrt(p22)], axis=1)
-    square = (
-        p11 * direction[:, 0] ** 2
-        + 2.0 * p12 * direction[:, 0] * direction[:, 1]
-        + p22 * direction[:, 1] ** 2
-    )
-    return np.asarray(direction / np.sqrt(square)[:, None])
+    points = norm.directions(count)
+    values = norm.values(*points.T)
+    if np.abs(values - 1.0).max() <= _ROUNDING:
+        return points
+    return np.asarray(points / values[:, None] ** (1.0 - norm.degree, 1.0))
 
 
 class ScaledGains(NamedTuple):
@@ -144,7 +92,7 @@ def closed_loop_field(
     """
     x = np.asarray(states, float)
     error, rate, disturbance = x[..., 0], x[..., 1], x[..., 2]
-    n = norm_values(norm, error, rate)
+    n = norm.values(error, rate)
     # At n = 0 error and rate are zero, and so are the terms, whatever the multiplier is.
     multiplier = np.where(n > 0.0, n, 1.0) ** norm.degree
     proportional = gains.p * multiplier**2 * error
@@ -266,7 +214,7 @@ class Certificate:
                     "inertia": span.inertia,
                     "rate": span.rate,
                     "shape": [list(row) for row in span.shape],
-                    "norms": [_norm_to_mapping(norm) for norm in span.norms],
+                    "norms": [norm.to_mapping() for norm in span.norms],
                 }
                 for span in self.spans
             ],
@@ -282,7 +230,7 @@ class Certificate:
             spans = tuple(
                 CertifiedSpan(
                     inertia=float(span["inertia"]),
-                    norms=tuple(_norm_from_mapping(norm) for norm in span["norms"]),
+                    norms=tuple(norm_from_mapping(norm) for norm in span["norms"]),
                     shape=tuple(tuple(float(x) for x in row) for row in span["shape"]),
                     rate=float(span["rate"]),
                 )
@@ -293,25 +241,3 @@ class Certificate:
                 raise
             raise SettingError(f"a certificate lacks or misshapes an entry: {error!r}") from None
         return cls(gains, spans)
-
-
-def _norm_to_mapping(norm: Norm) -> dict[str, Any]:
-    if isinstance(norm, WeightedNorm):
-        return {
-            "type": "weighted",
-            "degree": norm.degree,
-            "error_weight": norm.error_weight,
-            "rate_weight": norm.rate_weight,
-        }
-    if isinstance(norm, CanonicalNorm):
-        shape = [list(row) for row in norm.shape]
-        return {"type": "canonical", "degree": norm.degree, "shape": shape}
-    raise SettingError(f"a certificate of a {type(norm).__name__} cannot be saved")
-
-
-def _norm_from_mapping(mapping: Mapping[str, Any]) -> Norm:
-    if mapping["type"] == "weighted":
-        return WeightedNorm(mapping["degree"], mapping["error_weight"], mapping["rate_weight"])
-    if mapping["type"] == "canonical":
-        return CanonicalNorm(mapping["degree"], mapping["shape"])
-    raise SettingError(f"a norm must be weighted or canonical, not {mapping['type']!r}")

@@ -19,7 +19,6 @@ from hpid_ros.base.errors import GainError
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains
-from hpid_ros.control.norms import NormFamily
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.certificate_search import SphereGrid, improved, time_unit, worst_rate
 from hpid_ros.stability.certification import check_certificate
@@ -196,7 +195,7 @@ def _corners(
     for signs in product(*[sorted({factor, 1.0 / factor})] * 3):
         corner = Gains(gains.p * signs[0], gains.i * signs[1], gains.d * signs[2])
         for weight in sorted({1.0 / widest, 1.0, widest}):
-            own = NormFamily(family.type, family.error_scale, family.rate_weight * weight)
+            own = replace(family, rate_weight=family.rate_weight * weight)
             norms = tuple(own(norm.degree) for norm in span.norms)
             for each in sorted({*inertia}):
                 yield Certificate(corner, (replace(span, inertia=each, norms=norms),))

@@ -21,7 +21,8 @@ from hpid_ros.base.files import load_json
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains, is_hurwitz
-from hpid_ros.control.norms import CanonicalNorm, NormFamily, NormType, WeightedNorm
+from hpid_ros.control.laws import LawName
+from hpid_ros.control.norms import Norm, NormFamily
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.certificate_search import certified_degree_interval, certify_degree
 from hpid_ros.stability.certification import best_spans, require_certifiable, verify_certificate
@@ -45,7 +46,7 @@ class LoopKind(NamedTuple):
     p: float  # proportional gain
     d: float  # derivative gain
     least_inertia: float
-    norm_type: NormType
+    norm_type: str
     rate_weight: float  # weight of the error rate in the norm
 
 
@@ -224,7 +225,7 @@ def decay_time(degree: float, decay: float, start: float, end: float) -> float:
 
 def settling_time_bound(
     certificate: Certificate,
-    norm: WeightedNorm | CanonicalNorm,
+    norm: Norm,
     state: tuple[float, float, float],
 ) -> float:
     """Return a time after which the ideal loop has settled for certain, in [s].
@@ -252,7 +253,7 @@ class GainVerdict:
     """What is known of one joint's loop."""
 
     joint: str
-    law: str  # pid or hpid
+    law: LawName
     degree: float  # the configured degree; 0 for the linear law
     inertia: tuple[float, float]  # [kg m^2] least and largest inertia
     is_certified: bool  # whether the loop is certified at the configured degree and every inertia
@@ -296,7 +297,7 @@ def _verdict(
         interval, certificate = (found.lower, found.upper), found.to_mapping()
         if found.contains(degree):
             bound = _settling_bound(settings, inertia, found)
-        elif settings.law == "hpid":
+        elif settings.is_homogeneous:
             reason = f"mu = {degree:g} is outside the certified interval"
     else:  # Hurwitz decides for the linear law
         reason = _instability(gains, high) or (str(found) if degree != 0.0 else "")
@@ -378,7 +379,7 @@ def certificates(controllers: Mapping[str, Sequence[LoopSettings]]) -> dict[str,
         f"{label} {each.joint}": each
         for label, settings in controllers.items()
         for each in settings
-        if each.law == "hpid" and each.plant_inertia > 0.0 and each.gains.i > 0.0
+        if each.is_homogeneous and each.plant_inertia > 0.0 and each.gains.i > 0.0
     }
     verdicts = check_gains(
         [(each, (each.plant_inertia, each.plant_inertia)) for each in loops.values()]

@@ -8,6 +8,7 @@ import subprocess
 import pytest
 
 from hpid_bench.tuning.export import FIELDS, c_files, c_name
+from hpid_ros.control.norms import NORMS
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wshadow")
@@ -148,7 +149,7 @@ def parameters_by_chance(chance, **others):
         "gains.i": chance.choice((0.0, p * 10.0 ** chance.uniform(-1.0, 1.0))),
         "inertia": inertia,
         "mu": chance.choice((0.0, *(chance.uniform(-0.49, 0.49) for _ in range(4)))),
-        "norm.type": chance.choice(("weighted", "canonical")),
+        "norm.type": chance.choice((*NORMS,)),
         "norm.floor": chance.choice((-1.0, -1.0, 0.0, 0.1, 1e-3, -0.5)),
         "norm.cap": chance.choice((1e6, 1e6, 2.0)),
         "u_clamp_max": most,

@@ -62,7 +62,7 @@ from hpid_bench.report.console import TextConsole
 from hpid_bench.report.table import grids_markdown, grids_text
 from hpid_ros.base.errors import RunError, SettingError, require_known
 from hpid_ros.base.names import require_label
-from hpid_ros.control.settings import LAWS
+from hpid_ros.control.laws import LAWS
 
 
 @contextmanager
@@ -215,7 +215,7 @@ def tune(options: argparse.Namespace) -> int:
         with folder, progress(console, "points", plan.total) as advanced:
             folder.write(EXPERIMENT, plan.experiment.text)
             search = Search(plan, runner, _least_cost(advanced))
-            result = SearchResult(search, options.label or f"best {LAWS[options.law]}")
+            result = SearchResult(search, options.label or f"best {LAWS[options.law].title}")
             try:
                 search.run()
             finally:

@@ -35,6 +35,7 @@ from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.control.homogeneous_pid import Gains
+from hpid_ros.control.laws import LAWS
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.metrics.results import for_json
@@ -94,6 +95,7 @@ def gain_table(
 
 
 def _cells(verdict: GainVerdict) -> list[str | Text]:
+    law = LAWS[verdict.law]
     low, high = verdict.inertia
     interval = "none"
     if verdict.interval is not None:
@@ -101,7 +103,7 @@ def _cells(verdict: GainVerdict) -> list[str | Text]:
     least, largest = verdict.multipliers
     return [
         Text("yes", style="green") if verdict.is_certified else Text("NO", style="red"),
-        f"{verdict.degree:+.3f}" if verdict.law == "hpid" else "PID",
+        f"{verdict.degree:+.3f}" if law.is_homogeneous else law.title,
         interval,
         f"{verdict.integral_ratio:.3f}",
         f"{verdict.sampling_margin:.3f}",

@@ -329,7 +329,7 @@ def _proposal(controller: Controller, tuned: Autotuned) -> list[str]:
         f"  p {after.p:g}  i {after.i:g}  d {after.d:g}   (now p {before.p:g}  i {before.i:g}  "
         f"d {before.d:g})",
     ]
-    if proposal.settings.law == "pid" or proposal.settings.mu == 0.0:
+    if proposal.settings.degree == 0.0:
         lines.append(f"  linear: {proposal.reasons.get('mu', 'nothing to gain')}")
     else:
         lines.append(f"  hPID: mu {proposal.settings.mu:+.2f}, {proposal.reasons['mu']}")

@@ -53,6 +53,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import of_slide
+from hpid_ros.control.laws import LAWS
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries
@@ -165,7 +166,10 @@ def _files(options: argparse.Namespace) -> dict[str, Path]:
 
 def _table(found: BagUpgrade) -> WideTable:
     names = [each.joint for each in found.settings]
-    laws = [f"mu {each.mu:+.2f}" if each.law == "hpid" else "PID" for each in found.settings]
+    laws = [
+        f"mu {each.mu:+.2f}" if each.is_homogeneous else LAWS[each.law].title
+        for each in found.settings
+    ]
     columns = [TableColumn("law", [*laws, ""])]
     for index in INDICES:
         rows = [found.prediction.joints[name][index.key] for name in names]
@@ -309,6 +313,6 @@ def _of_file(options: argparse.Namespace) -> int:
 
 def _summary(proposal: Upgrade) -> list[str]:
     settings = proposal.settings
-    if settings.law == "pid":
+    if not settings.is_homogeneous:
         return [f"{settings.joint}: {proposal.reasons['law']}", *proposal.remarks]
     return [f"{settings.joint}: mu {settings.mu:+.2f}", proposal.reasons["mu"], *proposal.remarks]

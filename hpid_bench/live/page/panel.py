@@ -18,7 +18,8 @@ from hpid_bench.live.page.trial_panel import TrialPanel
 from hpid_bench.live.session import BANDWIDTH, GAINS, SLIDERS, Range, shown, slider_range
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.records import ParameterSpec
-from hpid_ros.control.settings import LAWS, LOOP_PARAMETERS
+from hpid_ros.control.laws import LAWS
+from hpid_ros.control.settings import LOOP_PARAMETERS
 
 _EDITED_FOR = 0.7  # [s] after an input in which it is not set from elsewhere
 _STEPS = 400  # of a slider
@@ -314,9 +315,8 @@ class TuningPanel:
     def _build_tune(self) -> None:
         session, tuning = self._session, self._session.tuning
         self._of = ui.label().classes("heading")
-        self._law = ui.toggle(dict(LAWS), on_change=self._on_law).props(
-            'dense no-caps aria-label="law"'
-        )
+        laws = {name: law.title for name, law in LAWS.items()}
+        self._law = ui.toggle(laws, on_change=self._on_law).props('dense no-caps aria-label="law"')
         self._knobs = {
             name: Knob(self._viewer, name, self.refresh) for name in (BANDWIDTH, *SLIDERS)
         }
@@ -375,6 +375,9 @@ class TuningPanel:
             self._viewer.stage("law", event.value)
             self.refresh()
 
+    def _is_homogeneous(self, node: str) -> bool:
+        return LAWS[str(self._session.tuning.value(node, "law"))].is_homogeneous
+
     def _refresh_advice(self, nodes: Sequence[str]) -> None:
         mu = self._knobs["mu"]
         if not nodes:
@@ -390,7 +393,7 @@ class TuningPanel:
         mu.show_interval(joint if is_known else None, is_current=is_known)
         tuning = self._session.tuning
         degrees = [
-            float(tuning.value(node, "mu")) if tuning.value(node, "law") == "hpid" else 0.0
+            float(tuning.value(node, "mu")) if self._is_homogeneous(node) else 0.0
             for node in nodes
         ]
         text, is_bad = _certificate_text(joint if is_known else None, degrees)

@@ -216,9 +216,11 @@ static Real canonical_norm(const Coefficients *c, Real error, Real error_rate)
 
 static Real norm(const Settings *s, const Coefficients *c, Real error, Real error_rate)
 {
-    if (s->norm_type == {{ C }}_NORM_TYPE_CANONICAL)
-        return canonical_norm(c, error, error_rate);
-    return weighted_norm(c, error, error_rate);
+{% for each in norms[1:] %}
+    if (s->norm_type == {{ C }}_NORM_TYPE_{{ each.type|upper }})
+        return {{ each.c_function }}(c, error, error_rate);
+{% endfor %}
+    return {{ norms[0].c_function }}(c, error, error_rate);
 }
 
 /* Return n^mu, the factor of the loop's bandwidth; n is held between floor and cap. */

@@ -341,7 +341,7 @@ class ControllerHealth(Diagnostics):
         """Say once, after the first state, what is active."""
         loop, settings = self._loop, self._loop.settings
         effort, motion = settings.effort, settings.motion
-        degree = f" with mu = {settings.mu:g}" if settings.law == "hpid" else ""
+        degree = f" with mu = {settings.mu:g}" if settings.is_homogeneous else ""
         limits = {
             "N m": (effort.u_clamp_min, effort.u_clamp_max),
             "rad": (motion.position_min, motion.position_max),

@@ -1,17 +1,22 @@
 """Norms and laws: reference values, homogeneity, degree zero, and the step for slow sampling."""
 
+import json
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
+from harness.loops import loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, Pid, WeightedNorm
+from hpid_ros.control.assembly import make_law
 from hpid_ros.control.homogeneous_pid import SemiImplicitHomogeneousPid
-from hpid_ros.control.norms import NormFamily, sampling_floor
+from hpid_ros.control.laws import LAWS, LawName
+from hpid_ros.control.norms import NORMS, NormFamily, norm_from_mapping, sampling_floor
 
 DEGREES = st.floats(-0.49, 0.49)
 COORDINATES = st.builds(
@@ -34,7 +39,7 @@ def canonical_norms(draw):
     return CanonicalNorm(degree, [[p11, p12], [p12, p22]])
 
 
-NORMS = st.builds(WeightedNorm, DEGREES, WEIGHTS, WEIGHTS) | canonical_norms()
+ANY_NORM = st.builds(WeightedNorm, DEGREES, WEIGHTS, WEIGHTS) | canonical_norms()
 
 
 @pytest.mark.parametrize(
@@ -50,7 +55,7 @@ def test_reference_values_of_the_norms_to_ten_digits(norm, expected):
     assert norm(0.5, -0.3) == pytest.approx(expected, abs=5e-11)
 
 
-@given(NORMS, COORDINATES, COORDINATES, st.floats(-5.0, 5.0))
+@given(ANY_NORM, COORDINATES, COORDINATES, st.floats(-5.0, 5.0))
 def test_norm_is_positive_even_and_homogeneous_under_dilation(norm, error, rate, s):
     value = norm(error, rate)
     assert value > 0.0 == norm(0.0, 0.0)
@@ -186,6 +191,48 @@ def test_floor_and_cap_bound_the_multiplier(error, rate):
 
 class OwnNorm(WeightedNorm):
     """The weighted norm as somebody else's: the law has to call it."""
+
+    def __call__(self, error, error_rate):
+        return WeightedNorm.__call__(self, error, error_rate)
+
+
+class Halved(WeightedNorm):
+    def __call__(self, error, error_rate):
+        return 0.5 * WeightedNorm.__call__(self, error, error_rate)
+
+
+def test_a_norm_of_ones_own_is_called_even_if_it_is_derived_from_one_that_is_written_out():
+    law = HomogeneousPid(Gains(3.0, 1.0, 2.0), Halved(-0.2, 1.3, 0.4))
+    multiplier = (0.5 * WeightedNorm(-0.2, 1.3, 0.4)(0.3, -0.7)) ** -0.2
+    assert law.update(0.3, -0.7, 1e-3) == 3.0 * multiplier**2 * 0.3 + 2.0 * multiplier * -0.7
+
+
+def test_a_norm_that_is_written_out_cannot_change_behind_the_law():
+    law = HomogeneousPid(Gains(3.0, 1.0, 2.0), WeightedNorm(-0.2, 1.3, 0.4))
+    with pytest.raises(AttributeError):
+        law.norm.error_weight = 2.0
+    with pytest.raises(AttributeError):
+        law.norm = WeightedNorm(-0.2, 2.0, 0.4)
+
+
+@pytest.mark.parametrize("name", NORMS)
+def test_every_norm_by_name_is_homogeneous_in_one_line_of_units(name):
+    """What certificates of loops that differ by their units rely on."""
+    norm, unit = NORMS[name].scaled(-0.2, 0.3, 0.7), NORMS[name].scaled(-0.2, 1.0, 1.0)
+    assert (norm.type, norm(0.3, 0.0)) == (name, pytest.approx(1.0))
+    assert norm(0.06, -0.5) == pytest.approx(unit(0.06 / 0.3, -0.5 * 0.7), rel=1e-12)
+    saved = json.loads(json.dumps(norm.to_mapping()))
+    read = norm_from_mapping(saved)
+    assert read(0.06, -0.5) == norm(0.06, -0.5)
+    assert type(read) is type(norm)
+
+
+def test_every_law_by_name_is_made():
+    assert set(LAWS) == set(get_args(LawName))
+    for name, law in LAWS.items():
+        settings = loop_settings(law=name, mu=-0.2)
+        assert settings.degree == (-0.2 if law.is_homogeneous else 0.0)
+        assert hasattr(make_law(settings), "norm") == law.needs_norm
 
 
 @given(GAINS, DEGREES, SIGNALS, st.floats(0.0, 0.5), st.floats(0.6, 5.0))

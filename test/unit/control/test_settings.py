@@ -21,6 +21,7 @@ from hpid_ros.control.assembly import (
 )
 from hpid_ros.control.homogeneous_pid import SemiImplicitHomogeneousPid
 from hpid_ros.control.model import ModelSettings
+from hpid_ros.control.norms import NORMS
 from hpid_ros.control.settings import (
     MODEL_PARAMETERS,
     PARAMETERS,
@@ -42,7 +43,7 @@ GROUPS = [
 ]
 
 
-NORMS = st.sampled_from(["weighted", "canonical"])
+NORM_TYPES = st.sampled_from([*NORMS])
 GAINS = {"gains.p": 21.0, "gains.i": 52.5, "gains.d": 2.1}
 SCALED = {**GAINS, "mu": -0.3, "norm.effort_scale": 3.0, "norm.floor": 0.0}
 scales = st.floats(1e-2, 1e2)
@@ -305,14 +306,14 @@ def simc(inertia, time):
     }
 
 
-@given(NORMS, scales, st.floats(-0.45, 0.45))
+@given(NORM_TYPES, scales, st.floats(-0.45, 0.45))
 def test_the_norm_is_1_where_either_term_of_the_pid_is_the_scale(norm_type, scale, mu):
     norm = scaled(norm__type=norm_type, norm__effort_scale=scale).norm_family(mu)
     assert norm(scale / GAINS["gains.p"], 0.0) == pytest.approx(1.0, rel=1e-12)
     assert norm(0.0, -scale / GAINS["gains.d"]) == pytest.approx(1.0, rel=1e-12)
 
 
-@given(NORMS, errors, errors, scales, scales, st.floats(-0.45, 0.45))
+@given(NORM_TYPES, errors, errors, scales, scales, st.floats(-0.45, 0.45))
 def test_laws_that_differ_by_their_units_of_effort_are_one(norm_type, e, de, scale, unit, mu):
     """Gains and scale in other units of effort: the same multiplier, so the effort in the unit."""
     law = make_law(scaled(norm__type=norm_type, norm__effort_scale=scale, mu=mu))
@@ -322,7 +323,7 @@ def test_laws_that_differ_by_their_units_of_effort_are_one(norm_type, e, de, sca
     assert other.update(e, de, 0.001) == pytest.approx(unit * effort, rel=1e-9, abs=1e-12)
 
 
-@given(NORMS, scales, st.floats(1e-3, 10.0), st.floats(0.02, 0.5))
+@given(NORM_TYPES, scales, st.floats(1e-3, 10.0), st.floats(0.02, 0.5))
 def test_joints_tuned_by_one_rule_share_a_certificate_whatever_the_scale(
     norm_type, scale, inertia, time
 ):

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 
 from hpid_ros.base.errors import GainError, NormError, SettingError
-from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, WeightedNorm
+from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, Norm, WeightedNorm
 from hpid_ros.stability.certificate_search import (
     SphereGrid,
     certified_degree_interval,
@@ -34,7 +34,6 @@ from hpid_ros.stability.closed_loop import (
     CertifiedSpan,
     closed_loop_field,
     dilated,
-    norm_values,
     state_norm,
     unit_curve,
 )
@@ -73,13 +72,13 @@ GAINS = st.builds(
 def test_norms_of_arrays_are_those_of_numbers(norm, points):
     errors, rates = np.array(points).T
     expected = [norm(error, rate) for error, rate in points]
-    assert norm_values(norm, errors, rates) == pytest.approx(expected, rel=1e-12)
+    assert norm.values(errors, rates) == pytest.approx(expected, rel=1e-12)
 
 
 @given(norms())
 def test_unit_curve_has_norm_one_on_either_side_of_every_axis(norm):
     curve = unit_curve(norm, 9)
-    assert norm_values(norm, *curve.T) == pytest.approx(1.0, rel=1e-12)
+    assert norm.values(*curve.T) == pytest.approx(1.0, rel=1e-12)
     assert len({(error > 0.0, rate > 0.0) for error, rate in curve}) == 4
 
 
@@ -226,13 +225,89 @@ def test_no_simulation_settles_later_than_the_bound(degree):
     assert np.diff(sizes).max() < 1e-6 * sizes[0]
 
 
-def test_a_norm_of_another_degree_or_another_kind_is_refused():
-    for norm_of_degree in (
-        lambda degree: WeightedNorm(0.1, 1.0, 1.0),
-        lambda degree: lambda e, de: abs(e) + abs(de),
+class HalvedInTheLoop(WeightedNorm):
+    """What the loop calls is not what its array form says."""
+
+    def __call__(self, error, error_rate):
+        return 0.5 * WeightedNorm.__call__(self, error, error_rate)
+
+
+class Halved(HalvedInTheLoop):
+    """Half of the weighted norm in both forms."""
+
+    def values(self, errors, rates):
+        return 0.5 * WeightedNorm.values(self, errors, rates)
+
+
+class Euclidean(Norm):
+    """Scales with error and rate alike: homogeneous of degree zero alone."""
+
+    def __init__(self, degree):
+        self.degree = degree
+
+    def __call__(self, error, error_rate):
+        return float(np.hypot(error, error_rate))
+
+    def values(self, errors, rates):
+        return np.hypot(errors, rates)
+
+
+class Foreign:
+    """A norm of the loop that is no Norm: it has no array form."""
+
+    degree = -0.2
+
+    def __call__(self, error, error_rate):
+        return WeightedNorm(-0.2, 1.0, 1.0)(error, error_rate)
+
+
+@pytest.mark.parametrize(
+    ("norm", "message"),
+    [
+        (HalvedInTheLoop(-0.2, 1.0, 1.0), "is 0.5 in the loop and 1 in its array form"),
+        (Euclidean(-0.2), "not homogeneous of degree -0.2"),
+        (Foreign(), "derive Foreign from hpid_ros.control.Norm"),
+    ],
+    ids=["subclass", "not homogeneous", "no array form"],
+)
+def test_a_norm_that_the_certificate_would_not_be_of_is_refused_in_a_line(norm, message):
+    gains, shape = Gains(3.0, 1.0, 3.0), tuple(map(tuple, np.eye(3)))
+    assert HomogeneousPid(gains, norm).update(0.1, 0.2, 0.001)  # a loop takes it
+    certificate = Certificate(gains, (CertifiedSpan(1.0, (norm,), shape, 0.0),))
+    for certify in (
+        lambda: certify_degree(gains, norm),
+        lambda: certified_degree_interval(gains, lambda degree: norm),
+        lambda: verify_certificate(certificate),
+        lambda: settling_time_bound(certificate, norm, (1.0, 0.0, 0.0)),
     ):
-        with pytest.raises(NormError):
-            certified_degree_interval(Gains(3.0, 1.0, 3.0), norm_of_degree)
+        with pytest.raises(NormError, match=message) as caught:
+            certify()
+        assert "\n" not in str(caught.value)
+
+
+def test_a_norm_of_another_degree_is_refused():
+    with pytest.raises(NormError, match=r"asked 0\.0, got"):
+        certified_degree_interval(Gains(3.0, 1.0, 3.0), lambda mu: WeightedNorm(0.1, 1.0, 1.0))
+
+
+def test_a_norm_of_ones_own_is_the_same_in_loop_and_certificate():
+    """Half of a norm is a norm whose weights are half: with the same loop and certificate."""
+    gains, own, other = Gains(3.0, 1.0, 3.0), Halved(-0.2, 1.0, 1.0), WeightedNorm(-0.2, 0.5, 0.5)
+    state = np.array([0.3, -0.2, 0.1])
+    law, field = HomogeneousPid(gains, own), closed_loop_field(gains, own, state)
+    assert law.update(0.3, -0.2, 1e-3) == pytest.approx(state[2] - field[1], rel=1e-12)
+    found = certify_degree(gains, own)
+    span = found.spans[0]
+    assert span_margins(gains, span, own) == pytest.approx(span_margins(gains, span, other))
+    assert verify_certificate(found).rate > 0.0
+    with pytest.raises(SettingError, match="a certificate of a Halved cannot be saved"):
+        found.to_mapping()
+
+
+@pytest.mark.parametrize("degree", [-0.4, 0.3])
+def test_the_unit_curve_of_a_norm_of_ones_own_has_norm_one(degree):
+    curve = unit_curve(Halved(degree, 2.0, 0.1), 5)
+    assert 0.5 * WeightedNorm(degree, 2.0, 0.1).values(*curve.T) == pytest.approx(1.0, rel=1e-12)
 
 
 @st.composite

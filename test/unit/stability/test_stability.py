@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, LoopSettings, WeightedNorm
 from hpid_ros.control.homogeneous_pid import is_hurwitz
+from hpid_ros.control.norms import NORMS
 from hpid_ros.control.settings import NormSettings
 from hpid_ros.stability import gain_check as module
 from hpid_ros.stability.certificate_search import certified_degree_interval
@@ -146,7 +147,7 @@ def loop(inertia=1.0, rate=1.0, scale=1.0, **norm):
     return LoopSettings("j", gains, mu=0.05, norm=norm), (inertia, inertia)
 
 
-@pytest.mark.parametrize("norm_type", ["weighted", "canonical"])
+@pytest.mark.parametrize("norm_type", NORMS)
 def test_loops_that_differ_by_their_units_are_of_one_kind(norm_type):
     kinds = {
         kind_of(*loop(inertia, rate, scale, type=norm_type))

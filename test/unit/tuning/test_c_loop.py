@@ -16,6 +16,7 @@ from hpid_bench.tuning.export import GivenLoop, golden_vectors, in_single
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.loop_state import LoopMode
+from hpid_ros.control.norms import NORMS
 
 SETTINGS = loop_settings(gains__p=40.0, gains__i=130.0, gains__d=4.0, mu=-0.2)
 SEEDS = st.integers(0, 2**32)
@@ -68,7 +69,7 @@ def test_c_answers_every_state_as_python_to_the_last_bit(library, seed):
     assert_equal_answers(*both(library, settings), states)
 
 
-@pytest.mark.parametrize("norm", ["weighted", "canonical"])
+@pytest.mark.parametrize("norm", NORMS)
 @pytest.mark.parametrize("degree", [-0.45, 0.49])
 def test_c_answers_the_smallest_errors_as_python(library, norm, degree):
     """There the canonical norm brings a point to unit size in two steps."""
