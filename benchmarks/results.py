@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks.figures import Middle, Outcome
 from hpid_bench.experiment.result_folder import versions
+from hpid_ros.base.rounding import significant
 
 _LIBRARIES = {"rclpy": ("ros-jazzy-rclpy", "rclpy"), "simple_pid": ("simple-pid",)}
 _DIGITS = 6
@@ -89,4 +90,4 @@ def _range(values: Middle) -> list[float]:
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
+    return significant(value, _DIGITS)

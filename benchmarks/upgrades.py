@@ -345,7 +345,8 @@ def _loaded(document: Mapping[str, Any], description: RobotDescription) -> Exper
         file = Path(folder) / "drawn.yaml"
         file.write_text(yaml.safe_dump(document, sort_keys=False))
         experiment = load_experiment(file)
-    return replace(experiment, world=replace(experiment.world, robot_description=description.xml))
+    world = replace(experiment.world, robot_description=description.xml)
+    return replace(experiment, world=world, description=description)
 
 
 if __name__ == "__main__":

@@ -444,7 +444,8 @@ def gains(parser: Parser) -> None:
     parser.describe(
         "[FILE] --rule RULE --closed-loop-time T",
         "Compute every joint's gains by a published rule on its effective inertia, and print them "
-        "as a part of an experiment file, with margins and certified degrees. simc: S. Skogestad, "
+        "as a part of an experiment file, with the margins of hpid margins and certified degrees. "
+        "simc: S. Skogestad, "
         "J. Process Control 13 (2003), for a double integrating process. pole-placement: three "
         "poles in one place.",
         {
@@ -459,14 +460,16 @@ def gains(parser: Parser) -> None:
     experiment_options(parser)
     text = """
         --inertia M  of one joint without a robot [kg m^2]
+        --period S  its control period [s] (0.001)
         --rule  by which
         --closed-loop-time T  tau_c, time constant of the closed loop [s]
-        --delay D  of the loop [s] (0)
+        --delay D  of the loop [s] (0); in the margins an experiment's drives add theirs
     """
     options(
         parser,
         text,
         inertia=float,
+        period=float,
         rule={"choices": ("simc", "pole-placement"), "required": True},
         closed_loop_time={"required": True, "type": float},
         delay=0.0,

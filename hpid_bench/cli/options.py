@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -25,10 +26,12 @@ from hpid_ros.control.controller_files import ParameterFile, parameters_from
 from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
 from hpid_ros.metrics.measure import sliding_joints as slides_of_bag
 from hpid_ros.robot.amendments import RobotSection
-from hpid_ros.robot.description import GivenRobot, RobotDescription
+from hpid_ros.robot.description import UNLIMITED, GivenRobot, RobotDescription
 from hpid_ros.robot.dynamics import inertia_ranges
+from hpid_ros.robot.loop_settings import on_robot
 from hpid_ros.simulation.settings import ENGINES, require_engine
 from hpid_ros.stability.gain_check import Loop, inertia_of
+from hpid_ros.stability.margins import LoopFamily, loop_family
 
 DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"  # what runs if no file is named
 BOTH = "both"  # ``--engine both``: the same runs in every engine
@@ -193,9 +196,9 @@ def _load_robot(file: Path) -> GivenRobot:
     if identified is not None:
         return identified
 
-    world = load_experiment(file).world
+    experiment = load_experiment(file)
+    world, description = experiment.world, experiment.description
     source = str(world.robot_description)
-    description = RobotDescription.load(source)
     wheels = tuple(world.base.joints) if world.base is not None else ()
     start = world.initial_positions
     return GivenRobot(source, description, world.fixed_base, start, world.joints, wheels)
@@ -356,6 +359,47 @@ def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
     return (homogeneous or controllers)[0]
 
 
+class JointPlants(NamedTuple):
+    """What margins need to know of a robot's joints beside their inertia."""
+
+    friction: Mapping[str, float] = {}  # [N m s/rad] viscous, by joint; 0 for others
+    delays: Mapping[str, float] = {}  # [s] of the drives, by joint; 0 for others
+    has_velocities: bool = True  # whether the states have them
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> JointPlants:
+        world = experiment.world
+        period = world.control_period_ns * 1e-9
+        return cls(
+            viscous_frictions(experiment.description),
+            {
+                joint: drive.delay * period
+                for joint, drive in zip(world.joints, world.drives, strict=False)
+            },
+            world.velocity != "none",
+        )
+
+    def family(
+        self,
+        settings: LoopSettings,
+        inertia: Range,
+        delay: float,
+        largest_norm: float | None = None,
+    ) -> LoopFamily:
+        """Return the frozen loops of a joint; ``delay`` comes on top of its drive's, in [s]."""
+        if settings.velocity.is_measured and not self.has_velocities:
+            # nothing measures it: the controller filters differences
+            settings = settings.with_parameters({"velocity_source": "filtered"})
+        joint = settings.joint
+        delay += self.delays.get(joint, 0.0)
+        return loop_family(settings, inertia, self.friction.get(joint, 0.0), delay, largest_norm)
+
+
+def viscous_frictions(robot: RobotDescription) -> dict[str, float]:
+    """Return the viscous friction of a robot's joints, in [N m s/rad]."""
+    return {name: joint.damping for name, joint in robot.joints.items()}
+
+
 def shown_name(name: str) -> str:
     """Return a loop's name as tables have it."""
     space, mark, node = name.strip("/").rpartition("/")
@@ -365,10 +409,16 @@ def shown_name(name: str) -> str:
 def judged_loops(
     options: argparse.Namespace, file: ParameterFile, experiment: Experiment | None
 ) -> list[Loop]:
-    """Return loops with the inertias to judge them on; warn of those that nothing limits."""
-    loops = file.loops.values()
+    """Return loops with the inertias to judge them on; warn of those that nothing limits.
+
+    With a robot they are judged as a controller runs them on it.
+    """
+    loops = list(file.loops.values())
     if options.urdf:
-        warn_unlimited(load_robot(options.urdf).description, loops)
+        robot = load_robot(options.urdf)
+        warn_unlimited(robot.description, loops)
+        limits = robot.description.joints
+        loops = [on_robot(each, limits.get(each.joint, UNLIMITED), robot.source) for each in loops]
     elif experiment is not None:
         warn_unlimited(experiment.description, loops)
     known = {**file.inertias, **inertias_from(options, [each.joint for each in loops])}

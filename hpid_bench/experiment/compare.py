@@ -34,6 +34,7 @@ from hpid_ros.messages.messages import BagMessages
 from hpid_ros.messages.reports import POSE
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, unfollowed_lines, unfollowed_mapping
+from hpid_ros.messages.storage import Storage
 from hpid_ros.metrics.comparison import BySeed, Comparison, EngineTotal, engine_mapping
 from hpid_ros.metrics.measure import Measuring, measure
 from hpid_ros.metrics.quantities import PAPER, Quantity, gains_of_runs
@@ -225,16 +226,19 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
     how = Measuring(
         BagSelection(joints=experiment.world.joints), description=experiment.description
     )
-    measured = [measure(bag, label, how) for label, bag in bags.items()]
-    runs = tuple(each.series for each in measured if each.series is not None)
-    for run in runs:
+    world, frame = experiment.world, _frame(experiment)
+    measured, runs, base, end_effectors, bricks, paths = [], [], {}, {}, {}, []
+    for label, path in bags.items():
+        with Storage(path) as storage:
+            found = measure(storage, label, how)
+            bag = BagMessages(storage, *_TOPICS)
+        measured.append(found.run)
+        run = found.series
+        if run is None:
+            continue
+        runs.append(run)
         for line in run.quality.lines if run.quality is not None else ():
             _log.warning("%s", shown(f"run {run.label!r}: {line}"))
-    comparison = Comparison(tuple(each.run for each in measured))
-    world, frame = experiment.world, _frame(experiment)
-    base, end_effectors, bricks, paths = {}, {}, {}, []
-    for run in runs:
-        bag = BagMessages(bags[run.label], *_TOPICS)
         if world.rolling_base is not None:
             base[run.label] = _base_figures(world, world.rolling_base, bag, run)
         if frame is not None:
@@ -243,7 +247,8 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
             paths.append(end_effector.path(_PATH_POINTS))
         if world.workplace.bricks:
             bricks[run.label] = brick_figures(experiment, bag)
-    return Result(experiment, runs, comparison, base, end_effectors, bricks, tuple(paths))
+    comparison = Comparison(tuple(measured))
+    return Result(experiment, tuple(runs), comparison, base, end_effectors, bricks, tuple(paths))
 
 
 def save_numbers(

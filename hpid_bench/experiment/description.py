@@ -36,7 +36,9 @@ from hpid_ros.simulation.settings import ENGINES, WorldSettings
 from hpid_ros.simulation.world_file import WORLD_SECTIONS, read_world, world_schema
 
 
-def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
+def with_robot(
+    settings: LoopSettings, world: WorldSettings, description: RobotDescription
+) -> LoopSettings:
     """Return settings whose model has what the experiment's robot says.
 
     A model rolls where the robot does, and holds the joints that are not driven.
@@ -44,9 +46,9 @@ def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
     model = settings.model
     if not model.is_on:
         return settings
-    robot = str(world.robot_description)
-    known = RobotDescription.load(robot_source(model.description or robot)).joints
-    idle = [name for name in known if name not in world.joints]
+    if model.description:
+        description = RobotDescription.load(robot_source(model.description))
+    idle = [name for name in description.joints if name not in world.joints]
     if not model.locked_joints:
         model = replace(model, locked_joints=",".join(idle))
     elif lacking := [name for name in idle if name not in model.locked]:
@@ -55,7 +57,7 @@ def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
         )
     if not model.left_wheel:
         model = _rolling(model, world)
-    return with_inertia(replace(settings, model=model), robot)
+    return with_inertia(replace(settings, model=model), str(world.robot_description))
 
 
 def _rolling(model: ModelSettings, world: WorldSettings) -> ModelSettings:
@@ -86,7 +88,9 @@ class Layer(NamedTuple):
 _NOTHING = Layer("", {})
 
 
-def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[LoopSettings, ...]]:
+def controllers_from(
+    root: Section, world: WorldSettings, description: RobotDescription
+) -> dict[str, tuple[LoopSettings, ...]]:
     """Return the settings of each driven joint for each controller, by label.
 
     The robot gives the defaults, ``controllers.common`` is laid over them, then
@@ -103,7 +107,6 @@ def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[Loo
         raise ExperimentError("compare must name at least one controller")
     for label in labels:
         require_label(label, compared.where, ExperimentError)
-    description = RobotDescription.load(world.robot_description)
     description.require_sound()
     joints = description.select(world.joints)
     result = {}
@@ -114,7 +117,7 @@ def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[Loo
         for joint, counts in zip(joints, world.counts, strict=True):
             one, change = (each.get(joint.name, _NOTHING) for each in (own, own_changes))
             layers = (common, one, changes, change)
-            loops.append(_settings(label, joint, counts, world, layers))
+            loops.append(_settings(label, joint, counts, (world, description), layers))
         result[label] = tuple(loops)
     return result
 
@@ -175,12 +178,16 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _settings(
-    label: str, joint: JointDescription, counts: int, world: WorldSettings, layers: Sequence[Layer]
+    label: str,
+    joint: JointDescription,
+    counts: int,
+    robot: tuple[WorldSettings, RobotDescription],
+    layers: Sequence[Layer],
 ) -> LoopSettings:
     """Return one joint's settings; later layers win, and the robot gives the defaults."""
     values: Parameters = {
         "joint": joint.name,
-        "control_period": world.control_period_ns / NANOSECONDS,
+        "control_period": robot[0].control_period_ns / NANOSECONDS,
         "encoder_resolution": math.tau / counts if counts else 0.0,
     }
     if joint.effort < LOOP_PARAMETERS["u_clamp_max"].maximum:
@@ -188,7 +195,7 @@ def _settings(
     for layer in layers:
         values.update(layer.values)
     try:
-        settings = with_robot(LoopSettings.from_parameters(values), world)
+        settings = with_robot(LoopSettings.from_parameters(values), *robot)
         joint.require_effort(settings)
         return settings
     except HpidError as error:
@@ -216,6 +223,7 @@ class Experiment:
     seed: int  # seed of everything that is drawn by chance
     answer_timeout: float  # [s] wall time that lock-step waits for one answer
     world: WorldSettings  # the simulated robot
+    description: RobotDescription  # the same robot, with all that the file knows better
     trajectory: JointTrajectory  # the reference of every joint
     controllers: Mapping[str, tuple[LoopSettings, ...]]
     judged: tuple[str, ...]  # the joints that studies and searches look at, in the world's order
@@ -249,11 +257,6 @@ class Experiment:
         if self.world.workplace.bricks:
             return self.world.workplace.gripper.link
         return self.description.last_link
-
-    @property
-    def description(self) -> RobotDescription:
-        """The robot, with all that the file knows better."""
-        return RobotDescription.load(self.world.robot_description)
 
     @property
     def slides(self) -> frozenset[str]:
@@ -332,7 +335,9 @@ def load_reference(path: str | Path) -> JointTrajectory:
         return planned_reference(
             document.values,
             "reference",
-            lambda name: RobotDescription.load(find_resource(name, document.folders)),
+            lambda section: section.load(
+                lambda name: RobotDescription.load(find_resource(name, document.folders))
+            ),
         ).trajectory
 
 
@@ -347,7 +352,7 @@ def _with_engine(values: Any, engine: str | None) -> Any:
 
 
 def _experiment(document: Document, root: Section) -> Experiment:
-    world, control, reference = read_world(root, document.folders)
+    world, control, reference, description = read_world(root, document.folders)
     if reference is None:
         raise ExperimentError("reference is missing")
     duration = _whole_periods(root.number("duration", above=0.0, most=1e5), control.rate, world)
@@ -361,9 +366,10 @@ def _experiment(document: Document, root: Section) -> Experiment:
         seed=world.seed,
         answer_timeout=control.answer_timeout,
         world=world,
+        description=description,
         trajectory=reference.trajectory,
         plan=reference.plan,
-        controllers=controllers_from(root, world),
+        controllers=controllers_from(root, world, description),
         judged=judged_from(root, world.joints),
         is_engine_chosen=root.section("simulation", {}).values.get("engine") is not None,
     )

@@ -226,7 +226,10 @@ def run_without_ros(
     progress.phase(label, "running in this process")
     parameters = {PARAMETERS: controllers_text(settings, robot)}
     metadata = parameters | slides_entry(experiment.slides)
-    with World(experiment.world) as world, BagWriter(bag, metadata=metadata) as writer:
+    with (
+        World(experiment.world, experiment.description) as world,
+        BagWriter(bag, metadata=metadata) as writer,
+    ):
         recorder = _Recorder(writer, world, experiment, label, progress)
         begin = time.monotonic()
         run_in_process(world, loops, experiment.periods, recorder.observe, models)

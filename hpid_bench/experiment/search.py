@@ -22,6 +22,7 @@ from hpid_bench.experiment.batch import LAST_ERROR, Runner, RunRecord, RunTask, 
 from hpid_bench.experiment.description import Experiment, flat, nested
 from hpid_bench.experiment.result_folder import ResultFolder, versions
 from hpid_ros.base.errors import HpidError, RunError, SettingError, require_known
+from hpid_ros.base.rounding import significant
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import Numbers, unit_over
 from hpid_ros.base.yaml_text import dump_yaml
@@ -111,7 +112,7 @@ def mean_ratios(
 
 def _rounded(value: float) -> float:
     """Return six digits: what is printed is what was run."""
-    return float(f"{value:.6g}")
+    return significant(value, 6)
 
 
 @dataclass(frozen=True)

@@ -389,7 +389,7 @@ def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
             baseline, *values = _values(own)
             cells = [f"{quantity.symbol} [{unit_over(quantity.unit, entry.are_slides)}]", baseline]
             for label, value in zip(entry.others, values, strict=True):
-                cells += [value, _ratio(table.ratios(entry.row(label), quantity))]
+                cells += [value, _ratio_cell(table.ratios(entry.row(label), quantity))]
             rows.append(tuple(cells))
     wins = [_wins(result, entry, label) for label in entry.others]
     rows.append(("ITAE lower in", NOTHING, *(cell for each in wins for cell in (each, NOTHING))))
@@ -442,7 +442,7 @@ def _values(quartiles: Sequence[Quartiles | None]) -> list[str]:
     return [NOTHING if each is None else _spread(*each) for each in texts]
 
 
-def _ratio(quartiles: Quartiles | None) -> str:
+def _ratio_cell(quartiles: Quartiles | None) -> str:
     if quartiles is None:
         return NOTHING
     return _spread(*map(format_ratio, quartiles))

@@ -159,26 +159,27 @@ def _varied(point: Row, experiment: Experiment, joints: Sequence[str]) -> Row:
     for place, each in enumerate(loops):
         if each.joint in joints or not joints:
             given = dict(each.to_parameters())
-            if has_other_model and _has_inertia_of_model(each, experiment.world):
+            if has_other_model and _has_inertia_of_model(each, experiment):
                 given["inertia"] = 0.0
             try:
                 varied = LoopSettings.from_parameters(given | changes)
-                loops[place] = with_robot(varied, point.world)
+                loops[place] = with_robot(varied, point.world, experiment.description)
             except HpidError as error:
                 return replace(point, refusal=f"{each.joint}: {error}")
     return replace(point, loops=tuple(loops))
 
 
-def _has_inertia_of_model(loop: LoopSettings, world: WorldSettings) -> bool:
+def _has_inertia_of_model(loop: LoopSettings, experiment: Experiment) -> bool:
     if not loop.model.is_decoupling:
         return False
-    return with_robot(replace(loop, inertia=0.0), world).inertia == loop.inertia
+    bare = replace(loop, inertia=0.0)
+    return with_robot(bare, experiment.world, experiment.description).inertia == loop.inertia
 
 
 def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
     label, world = experiment.baseline, experiment.world
     try:
-        changed = _changed_world(world, values)
+        changed = _changed_world(world, values, experiment.description)
         return Row(
             label,
             values,
@@ -190,7 +191,9 @@ def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
         return Row(label, values, None, world, refusal=str(error))
 
 
-def _changed_world(world: WorldSettings, values: Mapping[str, Value]) -> WorldSettings:
+def _changed_world(
+    world: WorldSettings, values: Mapping[str, Value], description: RobotDescription
+) -> WorldSettings:
     changes: dict[str, Any] = {}
     for name, value in values.items():
         if name != "payload":
@@ -201,7 +204,7 @@ def _changed_world(world: WorldSettings, values: Mapping[str, Value]) -> WorldSe
     changed = replace(world, **changes)
     _ = changed.encoders  # which are checked when they are made
     if changed.payload_mass:
-        RobotDescription.load(changed.robot_description).link(changed.payload_link)
+        description.link(changed.payload_link)
     return changed
 
 

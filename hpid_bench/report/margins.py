@@ -16,6 +16,12 @@ from rich.console import RenderableType, group
 from rich.text import Text
 
 from hpid_bench.report.figures import INK, RUN_STYLES
+from hpid_bench.report.margin_text import (
+    delay_margin_text,
+    gain_margin_text,
+    phase_margin_text,
+    sensitivity_text,
+)
 from hpid_bench.report.plots import (
     DOTS_PER_INCH,
     WIDTH_IN,
@@ -71,15 +77,12 @@ def _cells(found: FamilyMargins, period: float) -> list[str]:
     if worst is None:
         return ["UNSTABLE", *["-"] * (len(_FIGURES) - 3)]
     return [
-        " ".join(
-            f"{20.0 * math.log10(factor) if factor else -math.inf:+.1f}"
-            for factor in (worst.gain_reduction, worst.gain)
-        ),
-        f"{math.degrees(worst.phase):.3g}",
-        f"{1e3 * worst.delay:.3g}",
+        gain_margin_text(worst),
+        phase_margin_text(worst),
+        delay_margin_text(worst),
         f"{worst.delay / period:.3g}",
         f"{worst.disk:.2f}",
-        f"{worst.sensitivity:.2f}",
+        sensitivity_text(worst),
         f"{worst.complementary:.2f}",
         f"{worst.bandwidth / math.tau:.3g}",
     ]

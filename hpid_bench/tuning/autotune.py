@@ -29,6 +29,7 @@ from hpid_bench.tuning.gain_design import simc
 from hpid_bench.tuning.joint_record import JointRecord
 from hpid_bench.tuning.upgrade import Upgrade, upgrade
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.rounding import significant
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.settings import LoopSettings
@@ -152,11 +153,11 @@ def autotuned(
         raise SettingError(
             "compensation decoupling has gains of a unit inertia: hpid gains designs them"
         )
-    middle = float(f"{0.5 * (inertia[0] + inertia[1]):.3g}")
+    middle = significant(0.5 * (inertia[0] + inertia[1]), 3)
     effective = effective_delay(settings, delay, has_velocities=has_velocities)
     time = _PATIENCE * effective if closed_loop_time is None else closed_loop_time
     exact = simc(middle, time, effective)
-    gains = Gains(*(float(f"{each:.{_DIGITS}g}") for each in (exact.p, exact.i, exact.d)))
+    gains = Gains(*(significant(each, _DIGITS) for each in (exact.p, exact.i, exact.d)))
     pid = replace(settings, law="pid", mu=0.0, gains=gains, inertia=middle)
     found = upgrade(pid, inertia, goal)
     why = (

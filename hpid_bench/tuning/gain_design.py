@@ -1,7 +1,8 @@
-"""Gains of published rules for one joint and for several, with their robustness margins.
+"""Gains of published rules for one joint and for several, with their margins.
 
-The joint is the double integrator of the theory, m s^2, driven by the parallel PID that this
-package has, u = p e + i integral of e + d de/dt.
+The rules' joint is the double integrator of the theory, m s^2, driven by the parallel PID that
+this package has, u = p e + i integral of e + d de/dt; the margins are those of the loop as it
+runs (:mod:`hpid_ros.stability.margins`).
 """
 
 from __future__ import annotations
@@ -9,19 +10,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hpid_bench.report.margin_text import (
+    delay_margin_text,
+    gain_margin_text,
+    phase_margin_text,
+    sensitivity_text,
+)
 from hpid_ros.base.errors import GainError, SettingError, unknown_name
-from hpid_ros.base.units import Numbers
+from hpid_ros.base.rounding import significant
 from hpid_ros.base.yaml_text import inline_yaml
-from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
+from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.closed_loop import Certificate
 from hpid_ros.stability.gain_check import Loop, certified_degrees
-from hpid_ros.stability.margins import peak, roots
+from hpid_ros.stability.margins import LoopFamily, Margins, margins_of
 
 
 def simc(inertia: float, closed_loop_time: float, delay: float = 0.0) -> Gains:
@@ -74,89 +77,6 @@ def _checked(inertia: float, closed_loop_time: float, delay: float) -> float:
 
 
 _LARGEST_STUCK_ERROR = 0.1  # [rad], of a joint that friction holds
-_DECADES = 4.0
-_POINTS = 4001
-
-
-class RobustnessMargins(NamedTuple):
-    """How far a loop is from instability."""
-
-    gain: float  # factor by which the loop's gain may grow; infinite where any may
-    gain_reduction: float  # factor to which it may fall
-    phase: float  # [rad] phase that may be lost at the crossover
-    delay: float  # [s] delay that may be added
-    sensitivity: float  # Ms, the largest magnitude of the sensitivity function
-    crossover: float  # [rad/s] where the loop's gain is one
-
-
-class _Loop:
-    """The open loop L(jw) = (p + i/s + d s / (filter s + 1)) exp(-delay s) / (m s^2)."""
-
-    def __init__(self, gains: Gains, inertia: float, delay: float, filter_time: float) -> None:
-        self._gains, self._inertia = gains, inertia
-        self.delay, self._filter_time = delay, filter_time
-
-    def response(self, frequency: Numbers) -> NDArray[np.complex128]:
-        s = 1j * frequency
-        derivative = self._gains.d * s / (self._filter_time * s + 1.0)
-        controller = self._gains.p + self._gains.i / s + derivative
-        values: NDArray[np.complex128] = (
-            controller * np.exp(-self.delay * s) / (self._inertia * s**2)
-        )
-        return values
-
-    def gain(self, frequency: Numbers) -> Numbers:
-        """Return the logarithm of the gain."""
-        return np.asarray(np.log(np.abs(self.response(frequency))))
-
-    def sensitivity(self, frequency: Numbers) -> Numbers:
-        return np.asarray(1.0 / np.abs(1.0 + self.response(frequency)))
-
-    def phase(self, frequency: Numbers) -> Numbers:
-        """Return the phase beyond -180 degrees in [rad]: positive is what may be lost.
-
-        Continuous in the frequency, since each factor's angle is: i - p w^2 + j d' w with the
-        filter's angle and the delay's taken off.
-        """
-        w, g, tau = frequency, self._gains, self._filter_time
-        # (p + i/s)(tau s + 1) + d s over s: numerator (d + p tau) s^2 + (p + i tau) s + i.
-        numerator = np.angle(g.i - (g.d + g.p * tau) * w**2 + 1j * (g.p + g.i * tau) * w)
-        return np.asarray(numerator - np.arctan(tau * w) - 0.5 * math.pi - self.delay * w)
-
-
-def loop_margins(
-    gains: Gains, inertia: float, *, delay: float = 0.0, filter_time: float = 0.0
-) -> RobustnessMargins:
-    """Return the margins of the linear loop.
-
-    Source of the definitions: K. J. Astrom and R. M. Murray, "Feedback Systems", section 9.3,
-    and for Ms section 12.
-    """
-    require_hurwitz(gains, inertia)
-    loop = _Loop(gains, inertia, delay, filter_time)
-    middle = math.log10(gains.d / inertia)
-    grid: Numbers = np.logspace(middle - _DECADES, middle + _DECADES, _POINTS)
-    crossovers = np.array(roots(loop.gain, grid, loop.gain(grid)))
-    tolerable = float(np.min(loop.phase(crossovers) / crossovers)) + delay
-    if tolerable <= delay:
-        raise GainError(
-            f"the loop of p {gains.p:g}, i {gains.i:g}, d {gains.d:g} on {inertia:g} kg m^2 is "
-            f"unstable with a velocity filter of {filter_time:g} s and a delay of {delay:g} s: "
-            f"it tolerates {max(tolerable, 0.0):.3g} s"
-        )
-    critical = np.array(roots(loop.phase, grid, loop.phase(grid)))
-    factors = np.exp(-loop.gain(critical)).tolist()
-    return RobustnessMargins(
-        gain=min((each for each in factors if each > 1.0), default=math.inf),
-        gain_reduction=max((each for each in factors if each <= 1.0), default=0.0),
-        phase=float(np.min(loop.phase(crossovers))),
-        delay=tolerable - delay,
-        # It is 1 far above the crossover.
-        sensitivity=max(peak(loop.sensitivity, grid, loop.sensitivity(grid))[0], 1.0),
-        crossover=float(np.max(crossovers)),
-    )
-
-
 _INERTIA_DIGITS, _GAIN_DIGITS = 3, 6
 
 
@@ -166,7 +86,7 @@ class DesignedGains:
 
     inertia: float  # [kg m^2] what one unit of effort accelerates, to three digits
     gains: Gains  # the rule's gains on exactly that inertia, to six digits
-    margins: RobustnessMargins | None  # of the loop with delay and velocity filter
+    margins: Margins | None  # of the sampled and held loop, as a linear PID
     interval: tuple[float, float] | None  # certified degrees at the loop's norm
     reason: str  # why it is unstable or not certified; empty if it is certified at its degree
 
@@ -177,21 +97,25 @@ def design(
     rule: str,
     closed_loop_time: float,
     delay: float,
+    family: Callable[[LoopSettings, tuple[float, float]], LoopFamily],
     progress: Callable[[Sequence[str]], None] = lambda joints: None,
 ) -> dict[str, DesignedGains]:
-    """Return the joints' gains by a rule, judged."""
+    """Return the joints' gains by a rule, judged.
+
+    ``family`` makes the loop whose margins are told, of its settings and its joint's inertia.
+    """
     if rule not in RULES:
         raise SettingError(unknown_name("rule", rule, RULES))
     judged: list[Loop] = []
     for joint, settings in loops.items():
-        inertia = _rounded(inertias[joint], _INERTIA_DIGITS)
+        inertia = significant(inertias[joint], _INERTIA_DIGITS)
         exact = RULES[rule](inertia, closed_loop_time, delay)
-        gains = Gains(*(_rounded(each, _GAIN_DIGITS) for each in (exact.p, exact.i, exact.d)))
+        gains = Gains(*(significant(each, _GAIN_DIGITS) for each in (exact.p, exact.i, exact.d)))
         # The settings may hold other gains, which go with another inertia.
         judged.append((replace(settings, gains=gains, inertia=inertia), (inertia, inertia)))
     found = certified_degrees(judged, progress)
     return {
-        joint: _designed(*loop, each, delay)
+        joint: _designed(*loop, each, family)
         for joint, loop, each in zip(loops, judged, found, strict=True)
     }
 
@@ -200,14 +124,12 @@ def _designed(
     settings: LoopSettings,
     inertia: tuple[float, float],
     found: Certificate | GainError,
-    delay: float,
+    family: Callable[[LoopSettings, tuple[float, float]], LoopFamily],
 ) -> DesignedGains:
-    is_filtered = settings.velocity.source == "filtered"
-    filter_time = settings.velocity.filter_time_constant if is_filtered else 0.0
     margins, interval, reason = None, None, ""
     try:
-        margins = loop_margins(settings.gains, inertia[0], delay=delay, filter_time=filter_time)
-    except GainError as error:
+        margins = margins_of(family(settings, inertia).loop(inertia[0]))
+    except (GainError, SettingError) as error:
         reason = str(error)
     if isinstance(found, GainError):
         reason = reason or str(found)
@@ -252,18 +174,14 @@ def verdict_text(design: DesignedGains) -> str:
     if design.margins is not None:
         each = design.margins
         words += [
-            f"GM {each.gain_reduction:.2f}..{each.gain:.3g}",
-            f"PM {math.degrees(each.phase):.0f} deg",
-            f"delay margin {1e3 * each.delay:.3g} ms",
-            f"Ms {each.sensitivity:.2f}",
+            f"GM {gain_margin_text(each)} dB",
+            f"PM {phase_margin_text(each)} deg",
+            f"DM {delay_margin_text(each)} ms",
+            f"Ms {sensitivity_text(each)}",
         ]
     if design.reason:
         words.append(design.reason)
     return ", ".join(words)
-
-
-def _rounded(value: float, digits: int) -> float:
-    return float(f"{value:.{digits}g}")
 
 
 def number_text(value: float) -> str:

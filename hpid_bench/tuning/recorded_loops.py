@@ -28,7 +28,7 @@ from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings, Value
 from hpid_ros.messages.columns import JOINT_STATE, TopicBatch
 from hpid_ros.messages.joint_state import EffortReader, JointReader, JointSample, RobotReader
 from hpid_ros.messages.joint_trajectory import decode_float64
@@ -46,6 +46,8 @@ from hpid_ros.messages.selection import (
 )
 from hpid_ros.messages.storage import PARAMETERS, Storage, recorded_slides
 from hpid_ros.robot.description import JointDescription, robot_limits
+from hpid_ros.robot.loop_settings import loop_settings
+from hpid_ros.robot.on_demand import loop_model
 
 if TYPE_CHECKING:
     from hpid_ros.robot.compensation import LoopModel
@@ -55,23 +57,15 @@ class Controller(NamedTuple):
     """A joint's controller as it began."""
 
     node: str  # its name, without a namespace
-    settings: LoopSettings  # its settings, within the robot's limits
+    parameters: Mapping[str, Value]  # of its loop, as it was given them
+    settings: LoopSettings  # what it made of them, within the robot's limits
     limits: JointDescription  # what the robot allows the joint
     robot: str  # the robot's description: XML text or a path, empty for none
     allows_relay: bool  # whether it obeys ~/relay
 
-    def model(self) -> LoopModel | None:
-        """Return the model that its settings ask for; None for none."""
-        if not self.settings.model.is_on:
-            return None
-        from hpid_ros.robot.compensation import loop_model
-
-        return loop_model(self.settings, self.robot)
-
-    def changed(self, values: Mapping[str, Any], settings: LoopSettings) -> LoopSettings:
-        """Return settings after a change, as the controller makes them."""
-        changed = LoopSettings.from_parameters({**settings.to_parameters(), **values})
-        return _as_applied(changed, self.limits, self.robot)
+    def changed(self, values: Mapping[str, Value]) -> LoopSettings:
+        """Return what it makes of its parameters after all that was set until then."""
+        return loop_settings({**self.parameters, **values}, self.limits, self.robot)
 
 
 def controllers_of(document: object, where: str, namespace: str = "") -> dict[str, Controller]:
@@ -90,29 +84,24 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
         own = {**everywhere, **sections.get(node, {})}
         robot = str(own.get("robot_description", ""))
         limits = robot_limits(robot, settings.joint)
-        settings = _as_applied(settings, limits, robot)
         if settings.joint in controllers:
             raise SettingError(
                 f"{where} has two controllers of {settings.joint!r}: {names[settings.joint]} and "
                 f"{name}; give a parameter file with the one that drove it (--params FILE)"
             )
         names[settings.joint] = name
+        parameters = settings.to_parameters()
         controllers[settings.joint] = Controller(
-            node, settings, limits, robot, own.get(ALLOW_RELAY, False) is True
+            node,
+            parameters,
+            loop_settings(parameters, limits, robot),
+            limits,
+            robot,
+            own.get(ALLOW_RELAY, False) is True,
         )
     if not controllers:
         raise SettingError(f"{where} has no joint controller below namespace {namespace}")
     return controllers
-
-
-def _as_applied(settings: LoopSettings, limits: JointDescription, robot: str) -> LoopSettings:
-    """Return settings as a controller applies them."""
-    settings = limits.within(settings)
-    if not settings.model.is_on:
-        return settings
-    from hpid_ros.robot.coupling import with_inertia
-
-    return with_inertia(settings, robot)
 
 
 def recorded_controllers(path: Path, parameters: Path | None = None) -> dict[str, Controller]:
@@ -168,8 +157,19 @@ class _Joint:
     motions: list[Instruction] = field(default_factory=list)
     commands: list[RecordedCommand] = field(default_factory=list)
     instructions: list[Instruction] = field(default_factory=list)
+    changes: list[tuple[int, dict[str, Value]]] = field(default_factory=list)
+    """Where in the log parameters of the loop were set, and to what."""
     permissions: list[tuple[int, bool]] = field(default_factory=list)
     """Where in the log ``allow_relay`` was set, and to what."""
+
+    def retunes(self) -> Iterator[Instruction]:
+        """Yield each change, with the settings that the controller made of all until then."""
+        values: dict[str, Value] = {}
+        for place, change in sorted(self.changes, key=lambda each: each[0]):
+            values = {**values, **change}
+            text = ", ".join(f"{name} = {value}" for name, value in change.items())
+            settings = partial(self.controller.changed, values)
+            yield Instruction(place, retuned(settings), text)
 
     def relay(self, place: int, request: RelayRequest | None, loop: JointLoop) -> None:
         """Do what a message on ``~/relay`` asks for, as the controller does."""
@@ -243,7 +243,9 @@ class _Collector:
     ) -> None:
         self._slides, self._namespace = slides, namespace
         self._joints = {
-            each.settings.joint: _Joint(each, JointReader(each.settings.joint), each.model())
+            each.settings.joint: _Joint(
+                each, JointReader(each.settings.joint), loop_model(each.settings, each.robot)
+            )
             for each in controllers
         }
         self._robots = {
@@ -282,7 +284,7 @@ class _Collector:
                 each.controller.settings,
                 sorted(each.states, key=_place),
                 sorted(each.commands, key=_place),
-                sorted([*each.instructions, *motions], key=_place),
+                sorted([*each.instructions, *each.retunes(), *motions], key=_place),
                 min(begins, default=0),
                 each.controller.limits.is_slide or each.controller.settings.joint in self._slides,
             )
@@ -375,9 +377,7 @@ class _Collector:
                 ended = Instruction(place, driven(None), f"{ALLOW_RELAY} = False")
                 joint.instructions.append(ended)
             if values:
-                text = ", ".join(f"{name} = {value}" for name, value in values.items())
-                change = retuned(partial(joint.controller.changed, values))
-                joint.instructions.append(Instruction(place, change, text))
+                joint.changes.append((place, values))
 
 
 def _place(each: RecordedState | RecordedCommand | Instruction) -> int:

@@ -68,9 +68,9 @@ def following(motion: Motion) -> Callable[[JointLoop], None]:
     return follow
 
 
-def retuned(change: Callable[[LoopSettings], LoopSettings]) -> Callable[[JointLoop], None]:
-    """Return what applies the settings that a change makes of those before."""
-    return lambda loop: loop.retune(change(loop.settings))
+def retuned(settings: Callable[[], LoopSettings]) -> Callable[[JointLoop], None]:
+    """Return what applies settings, which are made then: they may be refused."""
+    return lambda loop: loop.retune(settings())
 
 
 def driven(request: RelayRequest | None) -> Callable[[JointLoop], None]:

@@ -13,6 +13,7 @@ import numpy as np
 from hpid_bench.tuning.gain_design import number_text
 from hpid_ros.base.errors import GainError, HpidError, NormError, SettingError
 from hpid_ros.base.names import ANYWHERE, controller_name
+from hpid_ros.base.rounding import significant
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND, of_slide, unit_over
 from hpid_ros.base.yaml_text import inline_yaml
@@ -158,7 +159,7 @@ def effort_scale(candidates: Sequence[Candidate]) -> float:
             "goal balanced takes the norm's scale in N m from a recording under the PID, with a "
             "proportional gain and joints that move: give --bag, or one with more of a motion"
         )
-    return float(f"{math.sqrt(total / states):.3g}")
+    return significant(math.sqrt(total / states), 3)
 
 
 def _stiffness(pid: LoopSettings) -> float:

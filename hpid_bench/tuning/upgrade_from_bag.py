@@ -420,7 +420,7 @@ def pid_margins(
     return FamilyMargins(tuple(ends)).worst or "unstable"
 
 
-def _ratio(value: float, other: float) -> float:
+def _ratio_or_one(value: float, other: float) -> float:
     return value / other if other else 1.0
 
 
@@ -576,7 +576,7 @@ class BagUpgrade:
 
     def _misfit(self, run: RunIndices, name: str, indices: Sequence[Quantity] = JUDGED) -> float:
         """Return the largest logarithm by which a run misses a recorded index of a joint."""
-        ratios = [_ratio(run.value(x, name), self._target.value(x, name)) for x in indices]
+        ratios = [_ratio_or_one(run.value(x, name), self._target.value(x, name)) for x in indices]
         return max(abs(math.log(x)) if 0.0 < x < math.inf else math.inf for x in ratios)
 
     def _doubt(self, goal: str, joint: str, spread: Mapping[str, float]) -> float:
@@ -637,7 +637,8 @@ class BagUpgrade:
         search = {
             name: _NoiseSearch.begun(self.model.facts[name])
             for name in (each.joint for each in self.loops)
-            if name in self.model.facts and not abs(_ratio(was[name], aims[name]) - 1.0) <= _NEAR
+            if name in self.model.facts
+            and not abs(_ratio_or_one(was[name], aims[name]) - 1.0) <= _NEAR
         }
         for _ in range(_NOISE_TRIALS if search else 0):
             facts = {name: each.facts for name, each in search.items()}

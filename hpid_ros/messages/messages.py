@@ -60,18 +60,18 @@ class PoseColumns(NamedTuple):
 class BagMessages:
     """The messages of a bag's topics, each read when it is asked for, some read together."""
 
-    def __init__(self, bag: Path, *together: str) -> None:
-        self._bag, self._where = bag, f"bag {bag}"
-        with Storage(bag) as storage:
-            self._known = {name: info.type for name, info in storage.topics().items()}
+    def __init__(self, bag: Path | Storage, *together: str) -> None:
         self._raws: dict[str, list[bytes]] = {}
-        self._read({name for topic in together for name in matching(topic, self._known)})
+        with opened(bag) as storage:
+            self._bag, self._where = storage.path, f"bag {storage.path}"
+            self._known = {name: info.type for name, info in storage.topics().items()}
+            names = {name for topic in together for name in matching(topic, self._known)}
+            self._read(storage, names)
 
-    def _read(self, names: Collection[str]) -> None:
+    def _read(self, storage: Storage, names: Collection[str]) -> None:
         self._raws |= {name: [] for name in names}
-        with Storage(self._bag) as storage:
-            for batch in storage.batches(frozenset(names)) if names else ():
-                self._raws[batch.topic] += batch.raws()
+        for batch in storage.batches(frozenset(names)) if names else ():
+            self._raws[batch.topic] += batch.raws()
 
     def on(self, topic: str, kind: str) -> list[Any]:
         """Return the messages on a topic in the order of the log; none where it is not there."""
@@ -79,7 +79,8 @@ class BagMessages:
             return []
         name = find_topic(self._where, topic, self._known, (kind,))
         if name not in self._raws:
-            self._read({name})
+            with Storage(self._bag) as storage:
+                self._read(storage, {name})
         deserialize = jazzy_types().deserialize_cdr
         try:
             return [deserialize(raw, kind) for raw in self._raws[name]]

@@ -176,6 +176,16 @@ EFFORT = "effort"
 _DOUBLE = 8
 
 
+class Float64Template:
+    """A Float64, which has no place for a name or a stamp."""
+
+    def __init__(self) -> None:
+        self._head, self._number = bytes(Writer().raw), struct.Struct("<d")
+
+    def encode(self, stamp_ns: int, *, effort: Sequence[float]) -> bytes:
+        return self._head + self._number.pack(*effort)
+
+
 class MultiArrayTemplate:
     """A Float64MultiArray without a layout; the message has no place for names or stamps."""
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
+from hpid_ros.base.rounding import significant
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.series import JointSeries, SeriesError, require_finite
 
@@ -314,8 +315,7 @@ def chatter(series: JointSeries, cutoff: float) -> float | None:
         return None
     bins = found.density[found.frequency >= cutoff]
     width = float(found.frequency[1])
-    value = math.sqrt(exact_sum(bins) * width)
-    return float(f"{value:.{SPECTRUM_DIGITS}g}")
+    return significant(math.sqrt(exact_sum(bins) * width), SPECTRUM_DIGITS)
 
 
 def _on_plateau(is_extreme: NDArray[np.bool_]) -> NDArray[np.bool_]:

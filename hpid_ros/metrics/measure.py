@@ -26,7 +26,7 @@ from hpid_ros.messages.messages import read_retunes, read_robot_descriptions
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, quality_lines
-from hpid_ros.messages.storage import Storage, bags_in, custom_data, recorded_slides
+from hpid_ros.messages.storage import Storage, bags_in, custom_data, opened, recorded_slides
 from hpid_ros.metrics.alignment import ALIGNMENTS, Cut, RunWindow, cuts_of, window_cuts
 from hpid_ros.metrics.comparison import Comparison, fold_repeats, mismatches
 from hpid_ros.metrics.quantities import (
@@ -124,7 +124,7 @@ class Measured:
 
 
 def measure(
-    bag: Path | str,
+    bag: Path | str | Storage,
     label: str | None = None,
     how: Measuring | None = None,
     *,
@@ -133,7 +133,7 @@ def measure(
     """Return the numbers of one recording.
 
     Args:
-        bag: A bag folder or file, or a ``.json`` file of saved numbers.
+        bag: A bag folder or file, a bag that is open, or a ``.json`` file of saved numbers.
         label: What it is called; that of its metadata or its name if None.
         how: How it is read; as ``hpid metrics`` without options if None.
         tell: Is told how far the reading is.
@@ -141,7 +141,9 @@ def measure(
     Raises:
         HpidError: It cannot be read.
     """
-    (source,) = labelled([Source(Path(bag), label)])
+    is_open = isinstance(bag, Storage)
+    named = Source(bag.path, label, bag) if is_open else Source(Path(bag), label)
+    (source,) = labelled([named])
     (found,) = _measured([source], how or Measuring(), tell or (lambda what, share: None), ())
     return found
 
@@ -287,6 +289,7 @@ LABEL = "label"  # name of a bag's label among its metadata (custom_data)
 class Source:
     path: Path  # a bag, or a file of saved numbers
     label: str | None = None  # what it is called; None if it says so itself
+    storage: Storage | None = None  # the bag, where it is open already
 
     @property
     def is_saved(self) -> bool:
@@ -425,7 +428,7 @@ def _of_bag(
     if cut is not None:
         selection = replace(selection, start=cut.start, end=cut.end)
     robot = how.description or (how.robot.description if how.robot else None)
-    with Storage(source.path) as bag:
+    with opened(source.storage or source.path) as bag:
         known = sliding_joints(bag, robot, selection.namespace)
         selection = replace(selection, kinds={**known.kinds, **selection.kinds})
         series = read_run(

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from hpid_ros.base.errors import listed_names, unknown_name
+from hpid_ros.base.rounding import significant
 from hpid_ros.messages.series import (
     GIVEN,
     HELD,
@@ -192,7 +193,7 @@ def _conditions_of(
 def _knots(series: JointSeries) -> tuple[float, ...]:
     at = np.linspace(0.0, float(series.time[-1]), KNOTS)
     values = np.interp(at, series.time, series.reference)
-    return tuple(float(f"{value:.{KNOT_DIGITS}g}") for value in values)
+    return tuple(significant(value, KNOT_DIGITS) for value in values)
 
 
 def _differ(one: float, other: float, within: float = DURATION_WITHIN) -> bool:

@@ -31,7 +31,7 @@ from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint, s
 from hpid_ros.robot.description import LinkPose, RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 
-if TYPE_CHECKING:  # Pinocchio takes a moment to import, and other references do without
+if TYPE_CHECKING:
     from hpid_ros.robot.kinematics import Kinematics
 
 

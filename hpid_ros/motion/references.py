@@ -24,6 +24,7 @@ from hpid_ros.motion.generators import combined, minimum_jerk, sine, step
 from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.robot.amendments import RobotSection
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.on_demand import kinematics
 
 
 @dataclass(frozen=True)
@@ -213,11 +214,12 @@ class PlannedReference(NamedTuple):
 
 
 def planned_reference(
-    document: object, where: str, load_robot: Callable[[str], RobotDescription]
+    document: object, where: str, load_robot: Callable[[RobotSection], RobotDescription]
 ) -> PlannedReference:
     """Return the reference of a whole document: an experiment, or a file with a reference.
 
-    ``kind: bricks`` is a :class:`BrickTask`; every other kind is that of :func:`reference_from`.
+    ``kind: bricks`` is a :class:`BrickTask`, for which ``load_robot`` is asked for the robot of
+    the document's section; every other kind is that of :func:`reference_from`.
     """
     values = document.get("reference") if isinstance(document, Mapping) else None
     if not (isinstance(values, Mapping) and values.get("kind") == BRICKS):
@@ -230,20 +232,17 @@ def planned_reference(
     opening = gripper.number("opening", OPENING, above=0.0)
     hand = gripper.text("link", HAND)
     own = from_mapping(RobotSection, root.take("robot"), "robot", TrajectoryError)
-    description = own.load(load_robot)
+    description = load_robot(own)
     drive = None if own.base is None else own.base.drive(description)
     others = description.start(own.initial_positions)
     robot = TaskRobot(description, drive, others, opening)
-    # Pinocchio takes a moment to import, and other references do without.
-    from hpid_ros.robot.kinematics import Kinematics
-
     section = Section(values, where, TrajectoryError)
     section.take("kind")
     task = take_record(BrickTask, section)
     section.finish()
     if not task.bricks:
         raise TrajectoryError(f"{section.place('bricks')} must name at least one brick")
-    arm = Kinematics(description, hand, task.arm or None, others)
+    arm = kinematics(description, hand, task.arm or None, others)
     for joint in task.folded:
         if joint not in arm.joints:
             place = section.place("folded")

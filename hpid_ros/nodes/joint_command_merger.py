@@ -52,7 +52,8 @@ from hpid_ros.nodes.core.waiting import (
 )
 from hpid_ros.nodes.parts.bridge_commanders import Commanders
 from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
-from hpid_ros.nodes.parts.joint_topics import COMMANDS, Sink, sender_of
+from hpid_ros.nodes.parts.command_interfaces import ARRAY, COMMANDS, OF_MERGERS
+from hpid_ros.nodes.parts.joint_topics import Sink, sender_of
 from hpid_ros.nodes.parts.lifecycle import ManagedNode, ManagedParameters
 from hpid_ros.nodes.parts.merger import (
     CommandMerger,
@@ -62,8 +63,6 @@ from hpid_ros.nodes.parts.merger import (
     joints_of,
 )
 from hpid_ros.nodes.parts.merger_output import (
-    ARRAY,
-    INTERFACES,
     GroupOutput,
     MergedStream,
     ReceiverWatch,
@@ -95,9 +94,9 @@ class MergerParameters(Record):
         "Manager of that controller; controller_manager in its namespace if empty", default=""
     )
     command_interface: str = quantity(
-        f"Message of the merged commands: {', '.join(INTERFACES)}",
+        f"Message of the merged commands: {', '.join(OF_MERGERS)}",
         default=ARRAY,
-        choices=tuple(INTERFACES),
+        choices=OF_MERGERS,
     )
     straggler_wait: float = quantity(
         "How long answers wait for those to the same state, as part of the states' period",

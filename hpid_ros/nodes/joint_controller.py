@@ -43,6 +43,7 @@ from hpid_ros.nodes.core.waiting import (
     unseen,
 )
 from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
+from hpid_ros.nodes.parts.command_interfaces import JOINT_STATE, OF_CONTROLLERS
 from hpid_ros.nodes.parts.controller import (
     IN_CONTROL,
     Certification,
@@ -55,7 +56,6 @@ from hpid_ros.nodes.parts.controller import (
     model_compensation,
 )
 from hpid_ros.nodes.parts.joint_topics import (
-    JOINT_STATE,
     SINKS,
     STATES,
     Commands,
@@ -85,7 +85,7 @@ class ControllerParameters(Record):
     """What a controller does with its commands, and waits for."""
 
     command_interface: str = quantity(
-        f"Message of the commands: {', '.join(SINKS)}", default=JOINT_STATE
+        f"Message of the commands: {', '.join(OF_CONTROLLERS)}", default=JOINT_STATE
     )
     wait_for_command_subscribers: int = quantity(
         "Subscribers that commands must have first", default=1, least=0

@@ -21,7 +21,8 @@ from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.waiting import Waiting
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
-from hpid_ros.nodes.parts.joint_topics import JOINT_STATE, SINKS, SharedTopics, Sinks
+from hpid_ros.nodes.parts.command_interfaces import JOINT_STATE
+from hpid_ros.nodes.parts.joint_topics import SINKS, SharedTopics, Sinks
 
 MERGED = "merged"
 """Name of the command interface of controllers whose commands are merged in their process."""

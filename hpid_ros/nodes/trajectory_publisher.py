@@ -60,7 +60,9 @@ class TrajectoryPublisher(executor.ClosingNode):
             trajectory, _ = planned_reference(
                 document.values,
                 "reference",
-                lambda name: RobotDescription.load(find_resource(name, document.folders)),
+                lambda section: section.load(
+                    lambda name: RobotDescription.load(find_resource(name, document.folders))
+                ),
             )
         self._trajectory = trajectory
         self._newest_ns: int | None = None

@@ -236,9 +236,12 @@ class World:
     the robot rests, as :class:`~hpid_ros.simulation.physics.Physics` says.
     """
 
-    def __init__(self, settings: WorldSettings) -> None:
+    def __init__(
+        self, settings: WorldSettings, description: RobotDescription | None = None
+    ) -> None:
+        """Build the robot; ``description`` is that of the settings, where it is loaded already."""
         self.settings = settings
-        self.description = RobotDescription.load(settings.robot_description)
+        self.description = description or RobotDescription.load(settings.robot_description)
         self.description.require_sound()
         joints = self.description.select(settings.joints)
         settings.start(self.description)

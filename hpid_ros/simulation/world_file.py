@@ -81,6 +81,7 @@ class WorldFile(NamedTuple):
     world: WorldSettings  # the simulated robot
     control: ControlSection  # how often it is controlled
     reference: PlannedReference | None  # what its joints follow, and the plan behind it
+    description: RobotDescription  # its robot, with all that the file knows better
 
 
 def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
@@ -90,7 +91,7 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
     seed = root.whole("seed", 0, least=0)
     robot = _whole(RobotSection, root.section("robot"))
     known = robot.load(lambda name: _load(name, folders))
-    reference = _reference(root, folders)
+    reference = _reference(root, known)
     joints = _driven(robot, known, reference)
     sensors, velocity = _sensors(root.section("sensors", {}), joints)
     counts = tuple(each.encoder_counts for each in sensors)
@@ -138,7 +139,7 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
         known.link(link)
     # Whatever is planned and designed for the start begins where the simulation does.
     world = replace(world, initial_positions=known.start(robot.initial_positions))
-    return WorldFile(world, control, reference)
+    return WorldFile(world, control, reference, known)
 
 
 def world_of(values: Any, document: Document | None) -> WorldFile:
@@ -194,11 +195,11 @@ def _description(robot: RobotSection, known: RobotDescription, folders: Sequence
     return str(robot_source(robot.description, folders)) if is_plain else known.xml
 
 
-def _reference(root: Section, folders: Sequence[Path]) -> PlannedReference | None:
+def _reference(root: Section, known: RobotDescription) -> PlannedReference | None:
     if "reference" not in root:
         return None
     root.take("reference")
-    return planned_reference(root.values, "reference", lambda name: _load(name, folders))
+    return planned_reference(root.values, "reference", lambda section: known)
 
 
 def _driven(

@@ -19,6 +19,7 @@ import numpy as np
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.base.files import load_json
 from hpid_ros.base.processes import side_by_side
+from hpid_ros.base.rounding import significant
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains, is_hurwitz
 from hpid_ros.control.laws import LawName
@@ -82,7 +83,7 @@ def kind_of(settings: LoopSettings, inertia: tuple[float, float]) -> LoopKind:
         least / largest,
         norm.rate_weight * norm.error_scale * rate,
     )
-    p, d, least_inertia, rate_weight = (float(f"{each:.{_DIGITS}g}") for each in numbers)
+    p, d, least_inertia, rate_weight = (significant(each, _DIGITS) for each in numbers)
     return LoopKind(p, d, least_inertia, norm.type, rate_weight)
 
 
@@ -164,7 +165,7 @@ class DegreeChecker:
         if reason or settings.degree == 0.0:
             return reason
         gains = effective_gains(settings.gains, settings.plant_inertia)
-        rounded = tuple(float(f"{each:.{_GAIN_DIGITS}g}") for each in (gains.p, gains.i, gains.d))
+        rounded = tuple(significant(each, _GAIN_DIGITS) for each in (gains.p, gains.i, gains.d))
         key = (rounded, settings.mu, settings.norm_family)
         if key not in self._known:
             try:

@@ -16,6 +16,7 @@ from hpid_bench.cli.main import COMMANDS, main
 from hpid_bench.cli.options import progress
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.report.console import TextConsole
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import ENGINES
 
 
@@ -38,6 +39,23 @@ def test_in_process_comparison_needs_no_ros_prints_the_table_and_leaves_the_resu
         assert (nodes / "world.yaml").exists()
         assert (nodes / "bridge.yaml").exists()
         assert f"law: {label.lower()}" in (nodes / "controllers.yaml").read_text()
+
+
+def test_the_robots_description_is_parsed_once_in_a_command(
+    experiment_file, tmp_path, monkeypatch
+):
+    load, parsed = RobotDescription.load, []
+    monkeypatch.setattr(
+        RobotDescription, "load", lambda source: parsed.append(source) or load(source)
+    )
+    file, folder = experiment_file(duration=0.2), tmp_path / "result"
+    assert main(["compare", str(file), "--in-process", "-o", str(folder)]) == DONE
+    assert len(parsed) == 1
+    for robot in (parsed[0], file):
+        parsed.clear()
+        bag = folder / "bags" / "PID"
+        assert main(["metrics", str(bag), "--robot", str(robot)]) == DONE
+        assert len(parsed) == 1
 
 
 @needs_bullet

@@ -17,6 +17,7 @@ from harness.places import ROOT
 from hpid_bench.cli.main import main
 from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.names import controller_name
+from hpid_ros.nodes.parts.command_interfaces import COMMAND_INTERFACES
 
 pytestmark = pytest.mark.repository
 
@@ -82,6 +83,20 @@ def test_every_parameter_of_a_node_is_documented(usage):
     names = {name.replace(".*", ".JOINT") for name in usage.parameters} - {"status_fd"}
     assert names
     assert not {name for name in names if f"`{name}`" not in page}
+
+
+def test_the_command_interfaces_are_those_of_the_page():
+    section = INTERFACES.partition("## Command interfaces")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| `(\w+)` \| `(\S+)` \| (\S+) \| (\S+) \|", section, re.MULTILINE)
+    declared = [
+        (name, each.message, _topic(each.controller_topic), _topic(each.merger_topic))
+        for name, each in COMMAND_INTERFACES.items()
+    ]
+    assert rows == declared
+
+
+def _topic(name):
+    return f"`{name}`" if name else "-"
 
 
 def anchors_of(page):

@@ -62,7 +62,7 @@ def test_the_reference_is_the_one_that_was_read_whatever_becomes_of_the_file(
     path.write_text("half a fi: [")
     document = load_document(write_reference(tmp_path, experiment), TrajectoryError)
     again, _ = planned_reference(
-        document.values, "reference", lambda name: RobotDescription.load(name)
+        document.values, "reference", lambda section: section.load(RobotDescription.load)
     )
     assert again == experiment.trajectory
 

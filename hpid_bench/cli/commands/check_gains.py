@@ -14,6 +14,7 @@ from rich.text import Text
 from hpid_bench.cli.arguments import GAIN_OPTIONS
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.options import (
+    JointPlants,
     first_homogeneous,
     joint_progress,
     judged_loops,
@@ -218,10 +219,16 @@ def gains(options: argparse.Namespace) -> int:
     if options.inertia is not None:
         if options.experiment:
             raise SettingError("--inertia is of one joint without a robot: name no FILE with it")
-        loops: dict[str, LoopSettings] = {"joint": LoopSettings("joint", Gains(0.0, 0.0, 0.0))}
+        timing = {} if options.period is None else {"control_period": options.period}
+        one = LoopSettings("joint", Gains(0.0, 0.0, 0.0)).with_parameters(timing)
+        loops: dict[str, LoopSettings] = {"joint": one}
+        plants = JointPlants()
         inertias = {"joint": options.inertia}
     else:
+        if options.period is not None:
+            raise SettingError("--period is of one joint without a robot: a FILE has its own")
         experiment = named_experiment(options.experiment)
+        plants = JointPlants.of(experiment)
         loops = {each.joint: each for each in first_homogeneous(experiment)}
         inertias = initial_inertias(experiment, tuple(loops.values()))
         slides, frictions = experiment.slides, experiment.frictions
@@ -229,7 +236,13 @@ def gains(options: argparse.Namespace) -> int:
         print_undriven(experiment)
     with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as progress:
         designs = design(
-            loops, inertias, options.rule, options.closed_loop_time, options.delay, progress
+            loops,
+            inertias,
+            options.rule,
+            options.closed_loop_time,
+            options.delay,
+            lambda settings, inertia: plants.family(settings, inertia, options.delay),
+            progress,
         )
     designs |= {
         joint: replace(each, reason=of_slide(each.reason))
@@ -238,6 +251,8 @@ def gains(options: argparse.Namespace) -> int:
     }
     head = f"{options.rule}, closed-loop time {options.closed_loop_time:g} s"
     head += f", delay {options.delay:g} s" if options.delay else ""
+    period = next(iter(loops.values())).timing.control_period
+    head += f"; margins as PID, sampled every {1e3 * period:g} ms"
     print(yaml_text(designs, head), end="")
     errors = TextConsole(stderr=True)
     for joint, friction in frictions.items():

@@ -33,6 +33,7 @@ from hpid_ros.base.files import refuse_output
 from hpid_ros.base.names import NamePatterns, node_sections
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.control.settings import LoopSettings
+from hpid_ros.robot.loop_settings import on_robot
 from hpid_ros.stability.gain_boxes import gain_ranges
 from hpid_ros.stability.gain_check import inertia_of
 
@@ -130,12 +131,12 @@ def _within_robot(options: argparse.Namespace, loops: list[LoopSettings]) -> lis
                 f"has: name the robot's URDF with --urdf"
             )
         return loops
-    robot = load_robot(options.urdf).description
+    robot = load_robot(options.urdf)
     try:
-        found = robot.select([each.joint for each in loops])
+        found = robot.description.select([each.joint for each in loops])
     except HpidError as error:
         raise SettingError(f"{options.urdf}: {error}") from None
-    return [own.within(loop) for own, loop in zip(found, loops, strict=True)]
+    return [on_robot(loop, own, robot.source) for own, loop in zip(found, loops, strict=True)]
 
 
 def _refuse_in_the_way(options: argparse.Namespace, names: Iterable[str]) -> None:

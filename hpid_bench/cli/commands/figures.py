@@ -27,7 +27,6 @@ from hpid_ros.metrics.measure import (
     summary,
 )
 from hpid_ros.metrics.task import TaskFrame
-from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.world_file import world_of
 
 FIGURES = "figures"  # name of their folder in a result
@@ -86,9 +85,8 @@ def _summary(result: Path) -> Summary:
     bags = recordings_of(result)
     nodes = result / "nodes" / next(iter(bags))
     document = load_document(nodes / "world.yaml", SettingError)
-    world = world_of(document.values, document).world
+    world, _, _, description = world_of(document.values, document)
     link = _end_effector(nodes / "bridge.yaml")
-    description = RobotDescription.load(world.robot_description)
     how = Measuring(
         BagSelection(joints=world.joints),
         robot=TaskFrame(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.options import (
+    JointPlants,
     joint_progress,
     judged_loops,
     load_robot,
@@ -18,6 +19,7 @@ from hpid_bench.cli.options import (
     require_controller,
     shown_name,
     sliding_joints,
+    viscous_frictions,
     write_output,
 )
 from hpid_bench.cli.terminal import output_console, reading
@@ -34,7 +36,7 @@ from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import MEASURED
 from hpid_ros.stability.gain_check import Loop, check_gains
-from hpid_ros.stability.margins import LoopFamily, family_margins, loop_family
+from hpid_ros.stability.margins import LoopFamily, family_margins
 from hpid_ros.stability.measured_margins import (
     LoopReport,
     MeasuredJoint,
@@ -104,36 +106,16 @@ def _families(
     options: argparse.Namespace, experiment: Experiment | None, judged: Sequence[Loop]
 ) -> list[LoopFamily]:
     """Return the loops with the friction and the delays of the experiment's robot, or --urdf's."""
-    friction: dict[str, float] = {}
-    delays: dict[str, float] = {}
-    description = None
-    if experiment is not None:
-        world = experiment.world
-        description = experiment.description
-        period = world.control_period_ns * 1e-9
-        delays = {
-            joint: drive.delay * period
-            for joint, drive in zip(world.joints, world.drives, strict=False)
-        }
+    plants = JointPlants() if experiment is None else JointPlants.of(experiment)
+    friction = dict(plants.friction)
     if options.urdf:
-        description = load_robot(options.urdf).description
-    if description is not None:
-        friction = {name: joint.damping for name, joint in description.joints.items()}
+        friction = viscous_frictions(load_robot(options.urdf).description)
     friction |= _given_friction(options.friction, [settings.joint for settings, _ in judged])
-    families = []
-    for settings, inertia in judged:
-        joint = settings.joint
-        if (
-            experiment is not None
-            and experiment.world.velocity == "none"
-            and settings.velocity.is_measured
-        ):  # nothing measures it: the controller filters differences
-            settings = settings.with_parameters({"velocity_source": "filtered"})
-        delay = options.delay + delays.get(joint, 0.0)
-        families.append(
-            loop_family(settings, inertia, friction.get(joint, 0.0), delay, options.norm_max)
-        )
-    return families
+    plants = plants._replace(friction=friction)
+    return [
+        plants.family(settings, inertia, options.delay, options.norm_max)
+        for settings, inertia in judged
+    ]
 
 
 def _given_friction(texts: Sequence[Sequence[str]], joints: Sequence[str]) -> dict[str, float]:

@@ -18,6 +18,7 @@ from hpid_bench.live.page.trial_panel import TrialPanel
 from hpid_bench.live.session import BANDWIDTH, GAINS, SLIDERS, Range, shown, slider_range
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.records import ParameterSpec
+from hpid_ros.base.rounding import significant
 from hpid_ros.control.laws import LAWS
 from hpid_ros.control.settings import LOOP_PARAMETERS
 
@@ -94,7 +95,7 @@ class Knob:
             return
         self._range = self._range_of(nodes[0])
         self._slider.value = self._place(1.0 if shown is None else shown)
-        self._field.value = None if shown is None else float(f"{shown:.6g}")
+        self._field.value = None if shown is None else significant(shown, 6)
 
     def _shown(self, nodes: Sequence[str]) -> tuple[float | None, bool]:
         """Return what is chosen, None where that is no one number, and whether it is staged."""
@@ -133,7 +134,7 @@ class Knob:
         low, high, is_logarithmic = self._range
         share = place / _STEPS
         value = low * (high / low) ** share if is_logarithmic else low + share * (high - low)
-        return float(f"{value:.4g}") if self.name != "mu" else round(value, 4)
+        return significant(value, 4) if self.name != "mu" else round(value, 4)
 
     def _on_slide(self, event: Any) -> None:
         value = self._value(float(event.args))
@@ -482,4 +483,4 @@ def _response_options(before: Advice | None, after: Advice | None) -> dict[str, 
 def _interesting(times: Sequence[float], errors: Sequence[float]) -> float:
     """Return until when a response is worth a look: somewhat beyond its last 5 %."""
     late = [time for time, left in zip(times, errors, strict=True) if abs(left) > 0.05]
-    return float(f"{min(1.5 * (late[-1] if late else times[-1]), times[-1]):.2g}")
+    return significant(min(1.5 * (late[-1] if late else times[-1]), times[-1]), 2)

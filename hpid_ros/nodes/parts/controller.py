@@ -38,6 +38,8 @@ from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, log_change
 from hpid_ros.nodes.parts.joint_topics import STATES
 from hpid_ros.robot.description import robot_limits
+from hpid_ros.robot.loop_settings import loop_settings
+from hpid_ros.robot.on_demand import loop_model
 from hpid_ros.stability.certifier import Certifier
 
 if TYPE_CHECKING:
@@ -67,12 +69,17 @@ def _require_limits(settings: LoopSettings) -> None:
             )
 
 
-def _refuse_undescribed(settings: LoopSettings) -> None:
-    for name, described in (("viscous_friction", "damping"), ("coulomb_friction", "friction")):
-        if getattr(settings.feedforward, name) < 0.0:
+_DESCRIBED = {
+    "feedforward.viscous_friction": "damping",
+    "feedforward.coulomb_friction": "friction",
+}
+
+
+def _refuse_undescribed(parameters: Mapping[str, Any]) -> None:
+    for name, described in _DESCRIBED.items():
+        if parameters[name] < 0.0:
             raise SettingError(
-                f"feedforward.{name} = -1 takes the {described} in robot_description, which is "
-                f"not given"
+                f"{name} = -1 takes the {described} in robot_description, which is not given"
             )
 
 
@@ -94,17 +101,11 @@ class ControllerSettings:
         values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
         values |= {each.name: each.value for each in changes if each.name in LOOP_PARAMETERS}
         if self._last is None or self._last[0] != values:  # checked first, applied afterwards
-            settings = LoopSettings.from_parameters(values)
-            if not self.robot:
-                _refuse_undescribed(settings)
-            settings = self._limits.within(settings)
+            settings = loop_settings(values, self._limits, self.robot)
             if self.robot:
                 _require_limits(settings)
-            if settings.model.is_on:
-                # Pinocchio takes a moment to import; what needs it is fixed at the start.
-                from hpid_ros.robot.coupling import with_inertia
-
-                settings = with_inertia(settings, self.robot)
+            else:
+                _refuse_undescribed(values)
             self._last = values, settings
         return self._last[1]
 
@@ -137,11 +138,6 @@ def concern_the_loop(changes: Sequence[Parameter]) -> bool:
 
 def model_compensation(node: Node, settings: LoopSettings, robot: str) -> ModelCompensation | None:
     """Build the model that a controller's settings ask for, and say in its log what it is."""
-    if not settings.model.is_on:
-        return None
-    # Pinocchio takes a moment to import, and a controller without a model does without.
-    from hpid_ros.robot.compensation import loop_model
-
     model = loop_model(settings, robot)
     if model is None:
         return None

@@ -15,22 +15,26 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray
 
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import (
-    NEWEST_COMMAND,
     NEWEST_STATES,
     OFFERED,
     held,
     overridable,
     subscribe_raw,
 )
+from hpid_ros.nodes.parts.command_interfaces import (
+    COMMAND_INTERFACES,
+    COMMANDS,
+    JOINT_STATE,
+    OF_CONTROLLERS,
+    Template,
+    message_type,
+)
 
 STATES = "joint_states"
-COMMANDS = "joint_commands"
 
 TakeState = Callable[[bytes], None]
 """Is called with each state as it came, in CDR."""
@@ -52,52 +56,21 @@ def _publisher(node: Node, kind: type, topic: str, profile: object) -> Publisher
     return node.create_publisher(kind, topic, profile, qos_overriding_options=overridable())
 
 
-def _joint_state_sink(node: Node, joint: str, sender: str) -> Sink:
-    """One name and one effort in a JointState, stamped with the state that it answers.
-
-    The convention of Isaac Sim and of ``topic_based_ros2_control``. Efforts have no frame: in its
-    place stands who sends them.
-    """
-    publisher = _publisher(node, JointState, COMMANDS, OFFERED)
-    publish, encode = publisher.publish, JointStateTemplate([joint], sender, effort=True).encode
+def _sink(interface: str, node: Node, joint: str, sender: str) -> Sink:
+    """Return the sink of a controller that has its commands for itself."""
+    found = COMMAND_INTERFACES[interface]
+    kind = message_type(interface)
+    publisher = _publisher(node, kind, found.controller_topic, found.controller_qos)
+    publish, encode = publisher.publish, found.template([joint], sender).encode
+    scale = found.scale(node, joint)
     return Sink(
         publisher,
         publisher.get_subscription_count,
-        lambda stamp_ns, effort: publish(encode(stamp_ns, effort=(effort,))),
+        lambda stamp_ns, effort: publish(encode(stamp_ns, effort=(scale * effort,))),
     )
 
 
-def _array_sink(node: Node, joint: str, sender: str) -> Sink:
-    """An array of one, without a stamp, for the effort group controllers of ros2_control."""
-    publisher = _publisher(node, Float64MultiArray, "~/commands", NEWEST_COMMAND)
-    message = Float64MultiArray(data=[0.0])
-
-    def send(stamp_ns: int, effort: float) -> None:
-        message.data[0] = effort
-        publisher.publish(message)
-
-    return Sink(publisher, publisher.get_subscription_count, send)
-
-
-def _number_sink(node: Node, joint: str, sender: str) -> Sink:
-    """A bare number, without a stamp, for Gazebo's joint force topics."""
-    publisher = _publisher(node, Float64, "~/command", NEWEST_COMMAND)
-    message = Float64()
-
-    def send(stamp_ns: int, effort: float) -> None:
-        message.data = effort
-        publisher.publish(message)
-
-    return Sink(publisher, publisher.get_subscription_count, send)
-
-
-JOINT_STATE = "joint_state"
-
-SINKS: Sinks = {
-    JOINT_STATE: _joint_state_sink,
-    "float64_multi_array": _array_sink,
-    "float64": _number_sink,
-}
+SINKS: Sinks = {name: partial(_sink, name) for name in OF_CONTROLLERS}
 """The sinks of a controller that has its commands for itself."""
 
 
@@ -120,7 +93,7 @@ class SharedTopics:
         self._publisher: Publisher | None = None
         self._sender = ""
         self._joints: list[str] = []
-        self._templates: dict[tuple[str, ...], JointStateTemplate] = {}
+        self._templates: dict[tuple[str, ...], Template] = {}
         self._answers: dict[str, tuple[int, float]] = {}
         self._collector: int | None = None  # the thread that gives a state to all
         self._lock = threading.Lock()
@@ -175,7 +148,7 @@ class SharedTopics:
 
     def sink(self, controller: Node, joint: str, sender: str) -> Sink:
         if not self.has_same(controller, COMMANDS):
-            return _joint_state_sink(controller, joint, sender)
+            return _sink(JOINT_STATE, controller, joint, sender)
         if self._publisher is None:
             self._publisher = _publisher(self._node, JointState, COMMANDS, OFFERED)
             own = self._node.get_fully_qualified_name()
@@ -208,7 +181,7 @@ class SharedTopics:
     def _publish(self, joints: tuple[str, ...], stamp_ns: int, efforts: Sequence[float]) -> None:
         template = self._templates.get(joints)
         if template is None:
-            template = JointStateTemplate(joints, self._sender, effort=True)
+            template = COMMAND_INTERFACES[JOINT_STATE].template(joints, self._sender)
             self._templates[joints] = template
         if self._publisher is not None:
             self._publisher.publish(template.encode(stamp_ns, effort=efforts))

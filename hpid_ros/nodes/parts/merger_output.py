@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
@@ -16,17 +16,9 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
 from rclpy.timer import Timer
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
-from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.reports import (
-    DynamicJointStateTemplate,
-    MultiArrayTemplate,
-    decode_activity,
-)
+from hpid_ros.messages.reports import decode_activity
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import (
     LATCHED,
@@ -39,46 +31,9 @@ from hpid_ros.nodes.core.middleware import (
     steady_timer,
 )
 from hpid_ros.nodes.core.rclpy_internals import MatchCounter
+from hpid_ros.nodes.parts.command_interfaces import COMMAND_INTERFACES, Template, message_type
 from hpid_ros.nodes.parts.joint_topics import Sink
 from hpid_ros.nodes.parts.merger import CommandMerger, Merged, MergerSettings, Receiver
-
-
-class Interface(NamedTuple):
-    """A message for the efforts of several joints."""
-
-    topic: str  # where it goes by default
-    message: Callable[[], Any]  # returns its type, or raises SettingError
-    template: Callable[[Sequence[str], str], Any]  # by joint names and sender; with encode()
-
-
-def _dynamic_joint_state() -> Any:
-    try:
-        from control_msgs.msg import DynamicJointState
-    except ImportError as error:
-        raise SettingError(
-            "command_interface dynamic_joint_state needs the package control_msgs, which is not "
-            f"there ({error}); float64_multi_array and joint_state need nothing more"
-        ) from None
-    return DynamicJointState
-
-
-ARRAY = "float64_multi_array"
-"""The interface of ros2_control's group controllers."""
-
-INTERFACES = {
-    ARRAY: Interface(
-        "~/commands", lambda: Float64MultiArray, lambda names, _: MultiArrayTemplate(len(names))
-    ),
-    "joint_state": Interface(
-        "joint_command",
-        lambda: JointState,
-        lambda names, sender: JointStateTemplate(names, sender, effort=True),
-    ),
-    "dynamic_joint_state": Interface(
-        "dynamic_joint_commands", _dynamic_joint_state, DynamicJointStateTemplate
-    ),
-}
-"""By the names that the parameter ``command_interface`` may have."""
 
 
 class GroupOutput:
@@ -97,16 +52,16 @@ class GroupOutput:
         is_guarded: bool,
         matched: Callable[[], None],
     ) -> None:
-        self._interface, self._sender = INTERFACES[interface], sender
-        self._template: Any = None
-        self._count = 0
+        self._node, self._interface, self._sender = node, COMMAND_INTERFACES[interface], sender
+        self._template: Template | None = None
+        self._scales: list[float] = []  # of the joints' efforts in the message
         self._last_ns = 0
         self.has_sent = False
         self.is_first = True  # whether a receiver is yet to get its first message
         self.sent = self.withheld = 0  # messages
         self.publisher = node.create_publisher(
-            self._interface.message(),
-            topic or self._interface.topic,
+            message_type(interface),
+            topic or self._interface.merger_topic,
             NEWEST_COMMAND,
             qos_overriding_options=overridable(),
             event_callbacks=PublisherEventCallbacks(matched=lambda _: matched()),
@@ -142,7 +97,7 @@ class GroupOutput:
     def set_joints(self, joints: Sequence[str]) -> None:
         """Send these joints from now on, in this order."""
         self._template = self._interface.template(joints, self._sender)
-        self._count = len(joints)
+        self._scales = [self._interface.scale(self._node, each) for each in joints]
 
     def send(self, merged: Merged, *, is_last: bool = False) -> bool:
         """Publish a merged command, unless there is a subscription that was not looked at.
@@ -152,7 +107,10 @@ class GroupOutput:
         """
         if self._template is None:
             return False
-        raw = self._template.encode(merged.stamp_ns, effort=merged.efforts)
+        numbers = [
+            scale * effort for scale, effort in zip(self._scales, merged.efforts, strict=True)
+        ]
+        raw = self._template.encode(merged.stamp_ns, effort=numbers)
         # Asked at the end: a subscription may still match before the next line.
         if not is_last and not self.is_settled:
             self.withheld += 1
@@ -165,7 +123,7 @@ class GroupOutput:
 
     def zero(self, *, is_last: bool) -> bool:
         """Publish zeros if there is anything that they would end, and return whether they went."""
-        zeros = Merged(self._last_ns, (0.0,) * self._count)
+        zeros = Merged(self._last_ns, (0.0,) * len(self._scales))
         return self.has_sent and self.send(zeros, is_last=is_last)
 
     def destroy(self) -> None:

@@ -100,6 +100,12 @@ def test_statuses(stamp_ns, level, name, message, values):
     assert raw == serialised(reports.STATUSES, header=of_array, status=[status])
 
 
+@given(NUMBERS)
+def test_an_effort_alone(effort):
+    expected = serialised("std_msgs/msg/Float64", data=effort)
+    assert reports.Float64Template().encode(0, effort=[effort]) == expected
+
+
 @given(st.lists(NUMBERS, min_size=1, max_size=9))
 def test_efforts_of_a_group(efforts):
     layout = new("std_msgs/msg/MultiArrayLayout", [], 0)

@@ -173,7 +173,7 @@ def document(**reference):
 
 
 def planned(values, robot=ROBOT):
-    return planned_reference(values, "reference", lambda name: robot)
+    return planned_reference(values, "reference", lambda own: own.load(lambda name: robot))
 
 
 def test_a_root_link_in_the_axle_is_as_high_above_the_ground_as_its_wheels_are_large():

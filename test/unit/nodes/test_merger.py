@@ -13,6 +13,7 @@ from hpid_ros.control.settings import Timing
 from hpid_ros.nodes import joint_command_merger
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger, MergerParameters
 from hpid_ros.nodes.parts import merger_output
+from hpid_ros.nodes.parts.command_interfaces import ARRAY
 from hpid_ros.nodes.parts.merger import (
     CommandMerger,
     Merged,
@@ -21,7 +22,7 @@ from hpid_ros.nodes.parts.merger import (
     Receiver,
     joints_of,
 )
-from hpid_ros.nodes.parts.merger_output import ARRAY, GroupOutput, MergedStream, ReceiverWatch
+from hpid_ros.nodes.parts.merger_output import GroupOutput, MergedStream, ReceiverWatch
 
 MS = 1_000_000
 PERIOD = 2 * MS

@@ -17,10 +17,9 @@ from hpid_bench.tuning.replay import (
     driven,
     following,
     replay_joint,
-    retuned,
 )
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control import JointLoop
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
@@ -43,9 +42,7 @@ def answer(stamp_ns, position, velocity):
 def change(**values):
     """Return what makes other settings, with dots for double underscores."""
     named = {key.replace("__", "."): value for key, value in values.items()}
-    return retuned(
-        lambda settings: LoopSettings.from_parameters({**settings.to_parameters(), **named})
-    )
+    return lambda loop: loop.retune(loop.settings.with_parameters(named))
 
 
 class Recorder:
