@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from _pytest.faulthandler import fault_handler_stderr_fd_key
@@ -98,7 +99,14 @@ def faults(record_property):
 
 
 def pytest_configure(config):
-    control_msgs.provide(config.cache.mkdir("control_msgs"))  # modules ask for it when imported
+    """Provide control_msgs before modules are imported that ask for it."""
+    if hasattr(config, "cache"):
+        folder = config.cache.mkdir("control_msgs")
+    else:  # with -p no:cacheprovider it is built for this session alone
+        temporary = TemporaryDirectory()
+        config.add_cleanup(temporary.cleanup)
+        folder = Path(temporary.name)
+    control_msgs.provide(folder)
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m looks

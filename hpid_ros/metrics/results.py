@@ -267,8 +267,11 @@ class RunIndices:
     def value(self, quantity: Quantity, joint: str | None = None) -> float:
         """Return one number of this run; nan where it is not defined."""
         if quantity not in self.quantities:
-            known = [each.key for each in self.quantities]
-            raise SeriesError(f"run {self.label!r}: {unknown_name('index', quantity.key, known)}")
+            known = listed_names([each.key for each in self.quantities])
+            raise SeriesError(
+                f"run {self.label!r} was measured without {quantity.key}, its numbers are "
+                f"{known}: measure its recording again"
+            )
         if joint is not None and joint not in self.joints:
             raise SeriesError(unknown_name("joint", joint, self.joints))
         numbers = self.totals if joint is None else self.joints[joint]

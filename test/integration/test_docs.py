@@ -1,5 +1,6 @@
 """The documentation says what the code says."""
 
+import ast
 import importlib
 import importlib.util
 import inspect
@@ -14,6 +15,8 @@ import numpy as np
 import pytest
 from harness.places import ROOT
 
+from hpid_bench.cli.main import COMMANDS as COMMANDS_OF_HPID
+from hpid_bench.cli.main import _parser as parser_of
 from hpid_bench.cli.main import main
 from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.names import controller_name
@@ -82,7 +85,72 @@ def test_every_parameter_of_a_node_is_documented(usage):
     page = "\n".join([INTERFACES, *chain(*map(tables.markdown, tables_of(INTERFACES)))])
     names = {name.replace(".*", ".JOINT") for name in usage.parameters} - {"status_fd"}
     assert names
-    assert not {name for name in names if f"`{name}`" not in page}
+    missing = {name for name in names if f"`{name}`" not in page}
+    assert not missing, f"docs/interfaces.md does not have these parameters of {usage.name}"
+
+
+def executables():
+    """Return the names of the nodes that a build installs, as setup.py lists them."""
+    tree = ast.parse((ROOT / "setup.py").read_text())
+    assigned = (each for each in tree.body if isinstance(each, ast.Assign))
+    (names,) = (each.value for each in assigned if each.targets[0].id == "EXECUTABLES")
+    return ast.literal_eval(names)
+
+
+def test_every_executable_has_a_section_and_is_started_by_a_test():
+    assert sorted(executables()) == sorted(NODES), "EXECUTABLES of setup.py, hpid_ros/nodes"
+    headings = "\n".join(re.findall(r"^## (.+)$", INTERFACES, re.MULTILINE))
+    started = (ROOT / "test" / "graph" / "test_given_parameters.py").read_text()
+    for name in NODES:
+        is_there = re.search(rf"\b{name}\b", headings) or f"**{name}**" in INTERFACES
+        assert is_there, f"docs/interfaces.md has no section on {name}"
+        assert f'"{name}"' in started, f"test/graph/test_given_parameters.py starts no {name}"
+
+
+def command_interfaces():
+    """Return pairs of a node and the name of one of its command interfaces."""
+    for name, each in COMMAND_INTERFACES.items():
+        topics = {
+            "joint_controller": each.controller_topic,
+            "joint_command_merger": each.merger_topic,
+        }
+        yield from ((node, name) for node, topic in topics.items() if topic)
+
+
+@pytest.mark.parametrize(("node", "name"), command_interfaces())
+def test_every_command_interface_is_documented_and_tried(node, name):
+    section = INTERFACES.split(f"\n## {node}\n")[1].split("\n## ")[0]
+    (row,) = re.findall(r"^\| `command_interface` \|.+", section, re.MULTILINE)
+    assert f"`{name}`" in row, f"docs/interfaces.md does not say what {name} of {node} is"
+    tests = [each.read_text() for each in (ROOT / "test" / "graph").glob("*.py")]
+    assert any(f'"{name}"' in each for each in tests), f"test/graph tries no {name}"
+
+
+PROSE = "\n".join(page.read_text() for page in PAGES if page.name != "CONTRIBUTING.md")
+SOURCES_OF_TESTS = "\n".join(path.read_text() for path in (ROOT / "test").rglob("*.py"))
+
+
+@pytest.mark.parametrize("command", COMMANDS_OF_HPID)
+def test_every_subcommand_is_documented_and_run_and_its_examples_can_be_typed(command):
+    is_named = re.search(rf"\bhpid {command}\b|`{command}`", PROSE)
+    assert is_named, f"no page of docs/ says when to use hpid {command}"
+    assert f'"{command}"' in SOURCES_OF_TESTS, f"no test runs hpid {command}"
+    help_text = parser_of([command])._actions[-1].choices[command].description
+    examples = re.findall(r'^  (?:eval "\$\()?(hpid [^>|)#\n]+)', help_text, re.MULTILINE)
+    assert examples
+    for example in examples:
+        _, *arguments = shlex.split(example)
+        parser_of(arguments).parse_args(arguments)  # or SystemExit
+
+
+def test_contributing_names_files_that_there_are():
+    page = (ROOT / "CONTRIBUTING.md").read_text()
+    named = set(re.findall(r"`([\w./]+/[\w.]+\.(?:py|c|h|html|md))`", page))
+    houses = (ROOT, ROOT / "hpid_ros", ROOT / "hpid_bench", ROOT / "hpid_bench" / "report")
+    own = {"control/my_law.py", "nodes/my_node.py"}  # to be written
+    missing = {name for name in named - own if not any((each / name).exists() for each in houses)}
+    assert len(named) > 30
+    assert not missing, "CONTRIBUTING.md"
 
 
 def test_the_command_interfaces_are_those_of_the_page():

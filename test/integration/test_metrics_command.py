@@ -318,6 +318,19 @@ def test_bad_input_is_one_line_and_nothing_is_printed(refused, result, arguments
     assert words in refused("metrics", *(places.get(each, each) for each in arguments))
 
 
+def test_numbers_saved_without_an_index_are_not_said_to_be_of_an_unknown_one(
+    refused, result, tmp_path
+):
+    document = json.loads((result / "result.json").read_text())
+    for run in document["indices"]["runs"].values():
+        for numbers in (run["units"], run["totals"], *run["joints"].values()):
+            numbers.pop("chatter", None)
+    old = tmp_path / "old.json"
+    old.write_text(json.dumps(document))
+    told = refused("metrics", old, "--indices", "chatter")
+    assert "run 'PID' was measured without chatter, its numbers are ivc, iavc, " in told
+
+
 @pytest.mark.parametrize("content", ["", "{", "[1, 2]", '{"runs": 3}', '{"runs": {"a": {}}}'])
 def test_a_file_without_numbers_is_one_line(refused, tmp_path, content):
     file = tmp_path / "saved.json"

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from hpid_ros.base.errors import HpidError, MessageError
-from hpid_ros.control import Gains, JointLoop, LoopSettings
+from hpid_ros.control import LOOP_PARAMETERS, Gains, JointLoop, LoopSettings
+from hpid_ros.control.laws import LAWS
 from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.slow
 
 MS = 1_000_000
 ROUNDS, MESSAGES = 5, 5000
-SOURCES = ["measured", "filtered", "homogeneous_differentiator", "observer"]
+SOURCES = LOOP_PARAMETERS["velocity_source"].choices
 
 
 def settings(**changes):
@@ -49,8 +50,9 @@ def goes_to(loop, target, stamp_ns):
 
 
 def test_a_hundred_thousand_messages_and_the_joint_still_goes_where_it_should(faults):
-    """The same messages for a loop of each source."""
+    """The same messages for a loop of each velocity source, and of each law."""
     loops = [JointLoop(settings(velocity_source=source, inertia=1.0)) for source in SOURCES]
+    loops += [JointLoop(settings(law=law, inertia=1.0)) for law in LAWS if law != "hpid"]
     reader = JointReader("elbow")
     fuzzer = StateFuzzer("elbow", seed=1)
     seen = refused = 0

@@ -7,9 +7,8 @@ import pytest
 from harness.c_loops import COMPILER, compile_c, needs_compiler, write_c
 from harness.loops import loop_settings
 
-from hpid_bench.tuning.export import FIELDS, c_files, golden_vectors, require_distinct
+from hpid_bench.tuning.export import c_files, golden_vectors, require_distinct
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control import LOOP_PARAMETERS
 
 EVERYTHING = {
     **{"gains__p": 39.6, "gains__i": 132.0, "gains__d": 3.96, "mu": -0.2},
@@ -139,15 +138,6 @@ def test_what_the_c_code_cannot_do_is_refused(changes, precision, words):
     with pytest.raises(SettingError, match=words) as refused:
         c_files(settings(**changes), precision, "a test")
     assert "\n" not in str(refused.value)
-
-
-def test_every_parameter_of_a_loop_is_in_c_or_is_the_nodes_or_of_an_extra():
-    in_c = {field.parameter for field in FIELDS}
-    missing, extras = set(LOOP_PARAMETERS) - in_c, {"observer", "feedforward"}
-    assert {name for name in missing if name.partition(".")[0] not in extras} == {
-        "joint",
-        "state_clock",
-    }
 
 
 def test_golden_vectors_meet_all_that_a_loop_does():
