@@ -23,7 +23,10 @@ INSTALL_REQUIRES = [
     "mujoco>=3.17,<3.18",
     "lz4>=4,<5",  # this and zstd: compressed bags; rosbags requires them too
     "backports.zstd>=1,<2; python_version < '3.14'",
-    "rosbags>=0.11,<0.12",  # the MCAP writer is extended, and every minor version changes it
+    # Message definitions, and bags of ROS 1, which it would unpack to any size: what limits that
+    # (messages/rosbags_internals.py) is not documented, and minor versions below 1 may change it.
+    "rosbags>=0.11,<0.12",
+    "mcap>=1.2,<2",  # the records of a bag that is written
     "PyYAML>=6.0,<7",
 ]
 
@@ -58,7 +61,6 @@ EXTRAS = {
     "docs": ["sphinx>=8.1,<9", "myst-parser>=4,<5", "furo>=2024.8"],  # make docs
     "peers": [  # of the laws and of the readers, for the benchmarks
         "simple-pid>=2.0,<3",
-        "mcap>=1.2,<2",
         "mcap-ros2-support>=0.5.5,<1",
         "mcap-ros2-support-fast>=0.8,<1",
         "small-mcap>=0.16,<1",
@@ -69,7 +71,6 @@ EXTRAS = {
         "pytest-timeout>=2.3,<3",
         "pytest-xdist>=3.7,<4",  # both cores
         "hypothesis>=6.100,<7",
-        "mcap>=1.2,<2",  # a reader of bags that is not the one that wrote them
         "mcap-ros2-support>=0.5.5,<1",
         "colcon-common-extensions>=0.3,<0.4",
         "colcon-ros>=0.5,<0.6",

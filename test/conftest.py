@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 from _pytest.faulthandler import fault_handler_stderr_fd_key
-from harness import browser, control_msgs
+from harness import browser, interfaces
 from harness.experiments import write_experiment
 from harness.fork_server import ForkedPopen
 from harness.graph import Harness
@@ -99,14 +99,15 @@ def faults(record_property):
 
 
 def pytest_configure(config):
-    """Provide control_msgs before modules are imported that ask for it."""
-    if hasattr(config, "cache"):
-        folder = config.cache.mkdir("control_msgs")
-    else:  # with -p no:cacheprovider it is built for this session alone
+    """Provide message packages before modules are imported that ask for them."""
+    temporary = None
+    if not hasattr(config, "cache"):  # -p no:cacheprovider: built for this session alone
         temporary = TemporaryDirectory()
         config.add_cleanup(temporary.cleanup)
-        folder = Path(temporary.name)
-    control_msgs.provide(folder)
+    for name in interfaces.PACKAGES:
+        folder = Path(temporary.name, name) if temporary else config.cache.mkdir(name)
+        folder.mkdir(exist_ok=True)
+        interfaces.provide(name, folder)
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m looks

@@ -232,8 +232,8 @@ def graph_options(place: Any) -> None:
     options(place, text, states="joint_states")
 
 
-def engine_options(parser: Parser, names: str = "pybullet or mujoco") -> None:
-    options(parser, f"--engine ENGINE  of the physics: {names} (as the file says)")
+def engine_options(parser: Parser) -> None:
+    options(parser, "--engine ENGINE  of the physics: pybullet or mujoco (as the file says)")
 
 
 def output_options(parser: Parser, name: str) -> None:
@@ -270,7 +270,7 @@ def compare(parser: Parser) -> None:
         },
     )
     experiment_options(parser)
-    engine_options(parser, "pybullet, mujoco, or both to compare them")
+    engine_options(parser)
     output_options(parser, "NAME")
     options(process_options(parser), "--in-process  without ROS; the numbers are the same")
     text = """
@@ -378,20 +378,17 @@ def study(parser: Parser) -> None:
         --seeds N  runs of each controller (20)
     """
     options(parser, text, experiments={"nargs": "*"}, seeds=20)
-    engine_options(parser, "pybullet, mujoco, or both to compare them")
+    engine_options(parser)
     jobs_options(parser)
     output_options(parser, "study")
     text = """
         --resume  carry on the study in the output folder
-        --shard K/N  make only the K-th of N parts of the runs (all)
-        --merge FOLDER ...  run nothing: put the shards of the same study together; once for each
         --format  of the output (table); docs is Markdown
         --table FORMAT
     """
     options(
         parser,
         text,
-        merge=Path,
         format=("table", "docs", "csv", "json"),
         table={"dest": "format", "choices": ("text", "docs", "csv", "json")},
     )

@@ -34,18 +34,15 @@ from hpid_ros.stability.gain_check import Loop, inertia_of
 from hpid_ros.stability.margins import LoopFamily, loop_family
 
 DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"  # what runs if no file is named
-BOTH = "both"  # ``--engine both``: the same runs in every engine
 
 
-def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
+def chosen_engine(options: argparse.Namespace) -> str | None:
     """Return who is to compute the physics; None as the file says."""
-    if options.engine is None:
-        return (None,)
-    require_known("engine", [options.engine], (*ENGINES, BOTH))
-    engines = ENGINES if options.engine == BOTH else (options.engine,)
-    for engine in engines:
+    engine: str | None = options.engine
+    if engine is not None:
+        require_known("engine", [engine], ENGINES)
         require_engine(engine)
-    return engines
+    return engine
 
 
 def print_engine_note(experiments: Iterable[Experiment]) -> None:
@@ -116,13 +113,7 @@ def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
 
 def experiment_to_run(options: argparse.Namespace) -> Experiment:
     """Return the experiment that the options name, in the engine that they name."""
-    if options.engine == BOTH:
-        known = " or ".join(ENGINES)
-        raise SettingError(
-            f"engine both is for hpid compare and hpid study; this command takes {known}"
-        )
-    (engine,) = chosen_engines(options)
-    experiment = named_experiment(options.experiment, engine)
+    experiment = named_experiment(options.experiment, chosen_engine(options))
     require_engine(experiment.world.engine)
     warn_uncontrolled([experiment])
     warn_unlimited(experiment.description, loops_of(experiment))

@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from hpid_bench.experiment.description import Experiment
 from hpid_bench.experiment.graph_run import GraphOptions, run_on_graph, run_trial
 from hpid_bench.experiment.in_process import (
-    NamedProgress,
     Progress,
     RunReport,
     run_without_ros,
     write_run_files,
 )
 from hpid_bench.experiment.result_folder import EXPERIMENT, ResultFolder, versions
-from hpid_bench.report.export import engine_grids, engines_csv
-from hpid_bench.report.table import Grid, grids_text, table_text
+from hpid_bench.report.table import table_text
 from hpid_ros.base.errors import ExperimentError, require_known
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import Numbers
@@ -35,9 +33,9 @@ from hpid_ros.messages.reports import POSE
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, unfollowed_lines, unfollowed_mapping
 from hpid_ros.messages.storage import Storage
-from hpid_ros.metrics.comparison import BySeed, Comparison, EngineTotal, engine_mapping
+from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.measure import Measuring, measure
-from hpid_ros.metrics.quantities import PAPER, Quantity, gains_of_runs
+from hpid_ros.metrics.quantities import gains_of_runs
 from hpid_ros.metrics.task import (
     BaseFigures,
     BrickFigures,
@@ -49,7 +47,7 @@ from hpid_ros.metrics.task import (
     moving_joints,
     task_notes,
 )
-from hpid_ros.metrics.texts import slides_note, table_csv
+from hpid_ros.metrics.texts import table_csv
 from hpid_ros.motion.bricks import BrickGoal
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 from hpid_ros.simulation.gripper import (
@@ -349,81 +347,25 @@ def compare(
     ``computed`` is called with the numbers as soon as they are saved.
     """
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
-        return _compare(experiment, folder, progress, in_process, options, computed)
-
-
-def compare_engines(
-    experiments: Sequence[Experiment],
-    output: Path,
-    progress: Progress,
-    *,
-    in_process: bool,
-    options: GraphOptions,
-    force: bool,
-    computed: Computed,
-) -> list[Grid]:
-    """Make the same comparison in two engines, and return tables of how far they lie apart."""
-    with ResultFolder.create(output, force=force, inputs=experiments[0].inputs) as folder:
-        results = {}
-        for experiment in experiments:
-            engine = experiment.world.engine
-            part = folder.part(engine)
-            told = NamedProgress(progress, engine, list(experiment.controllers))
-            results[engine] = _compare(experiment, part, told, in_process, options, computed)
-        totals = _engine_totals(results)
-        first = next(iter(results.values())).comparison
-        slides = slides_note(first.joint_names, first.slides)
-        grids = engine_grids(totals, f"Totals over all driven joints, one seed. {slides}".strip())
-        folder.write("engines.txt", grids_text(grids))
-        folder.write("engines.csv", engines_csv(totals))
-        folder.write("engines.json", json.dumps(engine_mapping(totals), indent=2) + "\n")
-    return grids
-
-
-def _engine_totals(results: Mapping[str, Result]) -> tuple[EngineTotal, ...]:
-    first = next(iter(results.values()))
-    name, seed = first.experiment.name, first.experiment.seed
-
-    def in_each(number: Callable[[Comparison], float]) -> dict[str, BySeed]:
-        return {engine: {seed: number(each.comparison)} for engine, each in results.items()}
-
-    def total(label: str, quantity: Quantity) -> EngineTotal:
-        values = in_each(lambda comparison: comparison.run(label).value(quantity))
-        ratios = in_each(lambda comparison: comparison.ratio(label, quantity))
-        is_baseline = label == first.comparison.baseline.label
-        unit = first.comparison.unit(quantity)
-        return EngineTotal(name, label, quantity, values, {} if is_baseline else ratios, unit)
-
-    return tuple(total(run.label, each) for run in first.comparison.runs for each in PAPER)
-
-
-def _compare(
-    experiment: Experiment,
-    folder: ResultFolder,
-    progress: Progress,
-    in_process: bool,
-    options: GraphOptions | None,
-    computed: Computed,
-) -> Result:
-    if experiment.engine_note:
-        progress.note(experiment.engine_note)
-    folder.write(EXPERIMENT, experiment.text)
-    reports = []
-    for label in experiment.controllers:
-        bag, nodes = folder.bag(label), folder.nodes(label)
-        if in_process:
-            # For who then starts the same controllers on a graph.
-            write_run_files(nodes, experiment, experiment.controllers[label])
-            reports.append(run_without_ros(experiment, label, bag, progress))
-        else:
-            reports.append(run_on_graph(experiment, label, bag, nodes, progress, options))
-        progress.advanced(label, experiment.duration)
-    progress.phase("", "computing")
-    bags = {label: folder.bag(label) for label in experiment.controllers}
-    result = compute(experiment, bags)
-    how = "in one process" if in_process else "ROS 2 graph"
-    save_numbers(result, folder, reports, how)
-    computed(result, reports)
-    save(result, folder, how)
-    folder.write("certificates.json", json.dumps(certificates(experiment.controllers)) + "\n")
+        if experiment.engine_note:
+            progress.note(experiment.engine_note)
+        folder.write(EXPERIMENT, experiment.text)
+        reports = []
+        for label in experiment.controllers:
+            bag, nodes = folder.bag(label), folder.nodes(label)
+            if in_process:
+                # For who then starts the same controllers on a graph.
+                write_run_files(nodes, experiment, experiment.controllers[label])
+                reports.append(run_without_ros(experiment, label, bag, progress))
+            else:
+                reports.append(run_on_graph(experiment, label, bag, nodes, progress, options))
+            progress.advanced(label, experiment.duration)
+        progress.phase("", "computing")
+        bags = {label: folder.bag(label) for label in experiment.controllers}
+        result = compute(experiment, bags)
+        how = "in one process" if in_process else "ROS 2 graph"
+        save_numbers(result, folder, reports, how)
+        computed(result, reports)
+        save(result, folder, how)
+        folder.write("certificates.json", json.dumps(certificates(experiment.controllers)) + "\n")
     return result

@@ -167,28 +167,6 @@ class NoProgress:
     def advanced(self, label: str, simulated: float) -> None: ...
 
 
-class NamedProgress:
-    """Progress of runs that need another name beside their label."""
-
-    def __init__(self, progress: Progress, name: str, labels: Sequence[str]) -> None:
-        self._progress, self._name, self._last = progress, name, labels[-1]
-
-    def phase(self, label: str, what: str) -> None:
-        """Pass it on; what follows all runs is of the last one."""
-        self._progress.phase(named(label or self._last, self._name), what)
-
-    def note(self, line: str) -> None:
-        self._progress.note(line)
-
-    def advanced(self, label: str, simulated: float) -> None:
-        self._progress.advanced(named(label, self._name), simulated)
-
-
-def named(label: str, name: str) -> str:
-    """Return a run's label with what it has in common with others."""
-    return f"{label} ({name})"
-
-
 @dataclass
 class RunReport:
     """How a run went, apart from its numbers."""

@@ -175,10 +175,6 @@ class ResultFolder:
         with system_errors(f"cannot write {path}"):
             write_file(path, content)
 
-    def part(self, name: str) -> ResultPart:
-        """Return the places of one of several results that lie next to each other."""
-        return ResultPart(self, name)
-
     def bag(self, label: str) -> Path:
         return self.folder(f"bags/{label}")
 
@@ -254,37 +250,6 @@ class ResultFolder:
                 text = (self.path / name).read_text(encoding="utf-8")
                 if before in text:
                     write_file(self.path / name, text.replace(before, after))
-
-
-@contextmanager
-def reopened(path: Path) -> Iterator[ResultFolder]:
-    """Give a result that is there, or one engine's part of it, to be carried on in its place."""
-    whole = path.absolute().parent
-    marker = None if (path / MARKER).exists() else Marker.read(whole)
-    if marker is not None and any(each.startswith(f"{path.name}/") for each in marker.files):
-        with ResultFolder.reopen(whole) as folder:
-            yield folder.part(path.name)
-    else:
-        with ResultFolder.reopen(path) as folder:
-            yield folder
-
-
-class ResultPart(ResultFolder):
-    """A result inside another one, which stands and falls with it."""
-
-    def __init__(self, whole: ResultFolder, name: str) -> None:
-        self._whole, self._name = whole, name
-
-    @property
-    def path(self) -> Path:  # type: ignore[override]
-        """Its folder, wherever the whole is."""
-        return self._whole.path / self._name
-
-    def file(self, name: str) -> Path:
-        return self._whole.file(f"{self._name}/{name}")
-
-    def folder(self, name: str, *, is_made: bool = False) -> Path:
-        return self._whole.folder(f"{self._name}/{name}", is_made=is_made)
 
 
 def check_place(path: Path, *, force: bool, inputs: Iterable[Path], option: str) -> Marker | None:

@@ -18,6 +18,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
+from rich.box import SIMPLE
+
 from hpid_bench.experiment.batch import (
     LAST_ERROR,
     QUANTITIES,
@@ -37,12 +39,17 @@ from hpid_bench.experiment.study_plan import (
     kept_records,
     read_journal,
 )
-from hpid_bench.report.export import engine_grids, engines_csv
-from hpid_bench.report.table import NOTHING, Grid, grids_markdown, grids_text
-from hpid_ros.base.errors import ResultExistsError, SettingError
+from hpid_bench.report.table import (
+    NOTHING,
+    WideTable,
+    columns_of,
+    spaced,
+    tables_markdown,
+    tables_text,
+)
+from hpid_ros.base.errors import ResultExistsError
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import unit_over
-from hpid_ros.metrics.comparison import EngineTotal, engine_mapping
 from hpid_ros.metrics.quantities import (
     EFFORT_L2,
     ERROR_L2,
@@ -192,28 +199,6 @@ class StudyResult:
             self.records,
         )
 
-    def engine_totals(self) -> list[EngineTotal]:
-        """Return the totals of what was run in both engines; empty if nothing was."""
-        table = self.table
-        return [
-            EngineTotal(
-                first.experiment.name,
-                label,
-                quantity,
-                {e.engine: table.numbers(e.row(label), quantity) for e in (first, second)},
-                {}
-                if label == first.baseline
-                else {
-                    e.engine: table.seed_ratios(e.row(label), quantity) for e in (first, second)
-                },
-                unit_over(quantity.unit, first.are_slides),
-            )
-            for first, second in self.plan.pairs
-            for label in first.experiment.controllers
-            for quantity in QUANTITIES
-            if any(table.numbers(each.row(label), quantity) for each in (first, second))
-        ]
-
     def evidence(self, entry: StudyEntry, label: str) -> Evidence:
         """Return what an experiment says of a controller, by medians."""
         row, table = entry.row(label), self.table
@@ -254,7 +239,6 @@ class StudyResult:
 
     def as_mapping(self) -> dict[str, object]:
         """Return everything that the plan determines, ready for JSON."""
-        totals = self.engine_totals()
         return {
             "versions": versions(),
             "seeds": self.plan.count,
@@ -267,7 +251,6 @@ class StudyResult:
             "settled_below": SETTLED,
             "experiments": {entry.name: self._entry(entry) for entry in self.plan.entries},
             "claims": {label: self._claims(label) for label in self.claimed_labels()},
-            **({"engines": engine_mapping(totals)} if totals else {}),
         }
 
     def _entry(self, entry: StudyEntry) -> dict[str, object]:
@@ -326,20 +309,17 @@ class StudyResult:
         return rows
 
 
-def grids(result: StudyResult) -> list[Grid]:
-    """Return all tables: claims, both engines, loops, of each experiment totals and joints."""
+def tables(result: StudyResult) -> list[WideTable]:
+    """Return all tables: claims, loops, of each experiment totals and joints."""
     entries = result.plan.entries
     found = [_claims(result, label) for label in result.claimed_labels()]
-    totals = result.engine_totals()
-    if totals:
-        found += engine_grids(totals, f"Totals over the judged joints, {_seeds(result)}.")
     found.append(_loops(result))
     for entry in entries:
         found += [_totals(result, entry), _joints(result, entry)]
     return found
 
 
-def _claims(result: StudyResult, label: str) -> Grid:
+def _claims(result: StudyResult, label: str) -> WideTable:
     evidence = result.all_evidence(label)
     rows = []
     for claim in CLAIMS:
@@ -347,16 +327,18 @@ def _claims(result: StudyResult, label: str) -> Grid:
         says = f"{kind}: {', '.join(held)}" if kind.endswith("when") else kind
         figures = [claim.figure(each) or NOTHING for each in evidence.values()]
         rows.append((claim.text, says, *figures))
-    return Grid(
-        f"claims {label}",
-        f"The paper's claims, {label} over the PID of the same gains",
+    return WideTable.of_rows(
         ("claim", "verdict", *evidence),
-        tuple(rows),
-        f"Medians over {_seeds(result)} of the ratio to the baseline with the same seed.",
+        rows,
+        texts=2,
+        key=f"claims {label}",
+        title=f"The paper's claims, {label} over the PID of the same gains",
+        note=f"Medians over {_seeds(result)} of the ratio to the baseline with the same seed.",
+        box=SIMPLE,
     )
 
 
-def _loops(result: StudyResult) -> Grid:
+def _loops(result: StudyResult) -> WideTable:
     rows = []
     every = [each for entry in result.plan.entries for each in entry.are_slides]
     heading = f"last |e| [{unit_over('rad', every)}]"
@@ -366,17 +348,20 @@ def _loops(result: StudyResult) -> Grid:
             refusals = result.refusals(entry, label)
             settled = NOTHING if last is None else "yes" if last < SETTLED else "no"
             rows.append((entry.name, label, _error(last), settled, _certified(refusals)))
-    return Grid(
-        "loops",
-        "Settled and certified",
-        ("experiment", "controller", heading, f"below {SETTLED:g}", "certified"),
-        tuple(rows),
-        "Largest error of the last second over joints and seeds. Certified: the linear law by "
-        "Routh and Hurwitz, the homogeneous law at its degree, at the nominal inertia.",
+    headings = ("experiment", "controller", heading, f"below {SETTLED:g}", "certified")
+    columns = columns_of(headings, rows, ("experiment", "controller", "certified"))
+    return WideTable(
+        columns[:2],
+        columns[2:],
+        key="loops",
+        title="Settled and certified",
+        note="Largest error of the last second over joints and seeds. Certified: the linear law "
+        "by Routh and Hurwitz, the homogeneous law at its degree, at the nominal inertia.",
+        box=SIMPLE,
     )
 
 
-def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
+def _totals(result: StudyResult, entry: StudyEntry) -> WideTable:
     """Return every index of the baseline, then value and ratio of each other controller."""
     table, labels = result.table, entry.experiment.controllers
     headings = ["index", entry.baseline]
@@ -398,17 +383,18 @@ def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
         rows.append(("note", notes[0], *(cell for each in notes[1:] for cell in (each, ""))))
     are_all = entry.joints == entry.experiment.world.joints
     joints = f"all {len(entry.joints)} joints" if are_all else ", ".join(entry.joints)
-    return Grid(
-        f"totals {entry.name}",
-        f"{entry.name}: totals over {joints}",
-        tuple(headings),
-        tuple(rows),
-        f"Medians with quartiles over {_seeds(result)}; ratio to {entry.baseline} with the same "
-        f"seed.{_slides(entry)}",
+    return WideTable.of_rows(
+        headings,
+        rows,
+        key=f"totals {entry.name}",
+        title=f"{entry.name}: totals over {joints}",
+        note=f"Medians with quartiles over {_seeds(result)}; ratio to {entry.baseline} with the "
+        f"same seed.{_slides(entry)}",
+        box=SIMPLE,
     )
 
 
-def _joints(result: StudyResult, entry: StudyEntry) -> Grid:
+def _joints(result: StudyResult, entry: StudyEntry) -> WideTable:
     unit = unit_over("rad", entry.are_slides)
     rows = [
         (label, joint, *ratios, _error(result.worst_last_error(entry, label, joint)))
@@ -416,12 +402,15 @@ def _joints(result: StudyResult, entry: StudyEntry) -> Grid:
         for joint in entry.joints
         for ratios in ([_median(result.table.ratios(entry.row(label), q, joint)) for q in PAPER],)
     ]
-    return Grid(
-        f"joints {entry.name}",
-        f"{entry.name}: ratios to {entry.baseline}, joint by joint",
+    return WideTable.of_rows(
         ("controller", "joint", *(q.symbol for q in PAPER), f"last |e| [{unit}]"),
-        tuple(rows),
-        _slides(entry).strip(),
+        rows,
+        names=2,
+        texts=2,
+        key=f"joints {entry.name}",
+        title=f"{entry.name}: ratios to {entry.baseline}, joint by joint",
+        note=_slides(entry).strip(),
+        box=SIMPLE,
     )
 
 
@@ -522,33 +511,13 @@ def run_study(
     return result
 
 
-def merged(plan: StudyPlan, parts: Sequence[Path]) -> StudyResult:
-    """Put the runs of several studies together."""
-    for part in parts:
-        if not (part / JOURNAL).is_file():
-            raise SettingError(f"{part} is no study: it has no {JOURNAL}")
-    records = kept_records(plan, *parts)
-    missing = [key for key in plan.tasks() if key not in records]
-    if missing:
-        first = missing[0]
-        raise SettingError(
-            f"{len(missing)} of {len(plan.tasks())} runs are in none of the parts, or failed, or "
-            f"were made of other files, seeds or versions; the first is {first.experiment} "
-            f"{first.controller} seed={first.seed} in {first.engine}"
-        )
-    return StudyResult(plan, records)
-
-
-def save(result: StudyResult, folder: ResultFolder, others: Iterable[JournalEntry] = ()) -> None:
+def save(result: StudyResult, folder: ResultFolder, others: Iterable[JournalEntry]) -> None:
     """Write the experiments, the numbers of all runs, the summary and the tables."""
     _begin(result, folder, others)
     folder.write("runs.csv", runs_csv(result))
     folder.write("study.json", json.dumps(result.as_mapping(), indent=2) + "\n")
-    folder.write("tables.txt", grids_text(grids(result)))
-    folder.write("tables.md", grids_markdown(grids(result)))
-    totals = result.engine_totals()
-    if totals:
-        folder.write("engines.csv", engines_csv(totals))
+    folder.write("tables.txt", tables_text(spaced(tables(result))))
+    folder.write("tables.md", tables_markdown(tables(result)))
 
 
 def runs_csv(result: StudyResult) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import zlib
 from collections.abc import Sequence
@@ -36,17 +35,14 @@ class RunKey(NamedTuple):
 
 @dataclass(frozen=True)
 class StudyEntry:
-    """One experiment of a study, in one engine."""
+    """One experiment of a study."""
 
     experiment: Experiment
     joints: tuple[str, ...]  # the joints that are judged, in the world's order
-    is_in_both: bool = False  # whether another entry is the same experiment in the other engine
 
     @property
     def name(self) -> str:
-        """Name in the study: the experiment's, and its engine's where it is in both."""
-        name = self.experiment.name
-        return f"{name} ({self.engine})" if self.is_in_both else name
+        return self.experiment.name
 
     @property
     def engine(self) -> str:
@@ -59,7 +55,7 @@ class StudyEntry:
 
     def row(self, label: str) -> tuple[str, str, str]:
         """Return the name of one of its rows: that of its runs without the seed."""
-        return self.experiment.name, self.engine, label
+        return self.name, self.engine, label
 
     @property
     def digest(self) -> str:
@@ -76,28 +72,10 @@ class StudyEntry:
         return tuple(self.experiment.controllers)[1:]
 
 
-def shard_of(text: str) -> slice:
-    """Return the part of all runs that ``K/N`` names: every N-th from the K-th on."""
-    place, _, parts = text.partition("/")
-    if place.isdecimal() and parts.isdecimal() and 1 <= int(place) <= int(parts):
-        return slice(int(place) - 1, None, int(parts))
-    raise SettingError(f"a shard is K/N with K from 1 to N, for instance 1/8, not {text!r}")
-
-
-ALL = slice(None)  # the shard that has all runs
-
-
 @dataclass(frozen=True)
 class StudyPlan:
     entries: tuple[StudyEntry, ...]  # the experiments, of unlike names
     count: int  # seeds of each controller: the experiment's own and those that follow it
-    shard: slice  # the part of all runs that is made here
-
-    @property
-    def pairs(self) -> list[tuple[StudyEntry, StudyEntry]]:
-        """The experiments that are in both engines."""
-        twice = [entry for entry in self.entries if entry.is_in_both]
-        return list(zip(twice[::2], twice[1::2], strict=True))
 
     @property
     def inputs(self) -> list[Path]:
@@ -106,19 +84,13 @@ class StudyPlan:
     @property
     def digests(self) -> dict[tuple[str, str], str]:
         """Of each entry, by experiment and engine."""
-        return {(each.experiment.name, each.engine): each.digest for each in self.entries}
+        return {(each.name, each.engine): each.digest for each in self.entries}
 
     def seeds(self, entry: StudyEntry) -> tuple[int, ...]:
         return tuple(entry.experiment.seed + k for k in range(self.count))
 
     def tasks(self) -> dict[RunKey, RunTask]:
-        """Return all runs of the shard; those on one robot are side by side."""
-        runs = [
-            (entry, label, seed)
-            for entry in self.entries
-            for label in entry.experiment.controllers
-            for seed in self.seeds(entry)
-        ]
+        """Return all runs; those on one robot are side by side."""
         return {
             RunKey(*entry.row(label), seed): RunTask.seeded(
                 entry.experiment,
@@ -127,7 +99,9 @@ class StudyPlan:
                 entry.experiment.controllers[label],
                 entry.joints,
             )
-            for entry, label, seed in runs[self.shard]
+            for entry in self.entries
+            for label in entry.experiment.controllers
+            for seed in self.seeds(entry)
         }
 
 
@@ -154,37 +128,36 @@ def plan_study(
     *,
     joints: Sequence[str] = (),
     seeds: int = 20,
-    engines: Sequence[str | None] = (None,),
-    shard: slice = ALL,
+    engine: str | None = None,
 ) -> StudyPlan:
     """Read experiments and check them as a whole before anything runs."""
     if seeds < 1:
         raise SettingError(f"seeds must be at least 1, not {seeds}")
     entries: dict[str, StudyEntry] = {}
-    for file, engine in itertools.product(files, engines):
-        entry = _entry(load_experiment(file, engine), joints, is_in_both=len(engines) > 1)
+    for file in files:
+        entry = _entry(load_experiment(file, engine), joints)
         require_engine(entry.engine)
         if entry.name in entries:
-            name, other = entry.experiment.name, entries[entry.name].experiment.path
-            raise SettingError(f"two experiments are called {name!r}: {other} and {file}")
+            other = entries[entry.name].experiment.path
+            raise SettingError(f"two experiments are called {entry.name!r}: {other} and {file}")
         entries[entry.name] = entry
     if not entries:
         raise SettingError("a study needs at least one experiment")
     known = {joint for each in entries.values() for joint in each.experiment.world.joints}
     require_known("joint", joints, known)
-    return StudyPlan(tuple(entries.values()), seeds, shard)
+    return StudyPlan(tuple(entries.values()), seeds)
 
 
-def _entry(experiment: Experiment, joints: Sequence[str], *, is_in_both: bool) -> StudyEntry:
+def _entry(experiment: Experiment, joints: Sequence[str]) -> StudyEntry:
     if len(experiment.controllers) < 2:
         raise SettingError(f"{experiment.path}: there is nothing to compare with the baseline")
     if not joints:
-        return StudyEntry(experiment, experiment.judged, is_in_both)
+        return StudyEntry(experiment, experiment.judged)
     named = tuple(joint for joint in experiment.world.joints if joint in joints)
     if not named:
         names = unknown_name("joint", joints[0], experiment.world.joints)
         raise SettingError(f"{experiment.path}: {names}")
-    return StudyEntry(experiment, named, is_in_both)
+    return StudyEntry(experiment, named)
 
 
 @dataclass(frozen=True)
@@ -229,21 +202,21 @@ def read_journal(path: Path) -> list[JournalEntry]:
     return entries
 
 
-def kept_records(plan: StudyPlan, *folders: Path) -> dict[tuple[object, ...], RunRecord]:
-    """Return the runs in folders that are still those of the plan and did not fail."""
+def kept_records(plan: StudyPlan, folder: Path) -> dict[tuple[object, ...], RunRecord]:
+    """Return the runs in a folder that are still those of the plan and did not fail."""
     digests, wanted = plan.digests, plan.tasks()
+    journal = folder / JOURNAL
     records: dict[tuple[object, ...], RunRecord] = {}
-    for journal in (folder / JOURNAL for folder in folders):
-        for entry in read_journal(journal):
-            key, record = entry.key, entry.record
-            if key not in wanted or record.failure:
-                continue
-            if entry.digest != digests[key.experiment, key.engine]:
-                continue
-            if records.setdefault(key, record) != record:
-                raise SettingError(
-                    f"{journal}: {key.experiment} {key.controller} seed={key.seed} in "
-                    f"{key.engine} is there with other numbers than before; one of the two is "
-                    "wrong, or made on a machine that computes differently"
-                )
+    for entry in read_journal(journal):
+        key, record = entry.key, entry.record
+        if key not in wanted or record.failure:
+            continue
+        if entry.digest != digests[key.experiment, key.engine]:
+            continue
+        if records.setdefault(key, record) != record:
+            raise SettingError(
+                f"{journal}: {key.experiment} {key.controller} seed={key.seed} in "
+                f"{key.engine} is there with other numbers than before; one of the two is "
+                "wrong, or made on a machine that computes differently"
+            )
     return records

@@ -24,8 +24,8 @@ from hpid_bench.report.table import (
     NOTHING,
     TableColumn,
     WideTable,
-    grids_text,
     styled,
+    tables_text,
 )
 from hpid_ros.base.errors import HpidError, SettingError, require_known
 from hpid_ros.base.text import csv_text
@@ -449,5 +449,5 @@ def run_sweep(
     finally:
         folder.write("sweep.csv", result.runs_csv())
         folder.write("sweep.json", result.json())
-        folder.write("table.txt", grids_text([result]))
+        folder.write("table.txt", tables_text([result]))
     return result

@@ -1,4 +1,4 @@
-"""Tables for a terminal, CSV and text: the paper's Table I for our runs, wide tables, numbers.
+"""Tables for a terminal, text and Markdown: the paper's Table I for our runs, wide tables.
 
 Blocks of one index each stand side by side as in the paper, as many as the width allows. A
 ratio carries a mark besides its colour, so that better and worse read without it.
@@ -11,7 +11,7 @@ a pipe, a table has one block.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -76,7 +76,9 @@ class WideTable:
 
     names: Sequence[TableColumn]  # of the rows
     columns: Sequence[TableColumn]
-    title: str = ""
+    title: str = ""  # what it shows
+    note: str = ""  # what must be known to read it
+    key: str = ""  # its name in files
     box: Box | None = None
     header_style: str = "bold"
     padding: int = 1
@@ -110,6 +112,18 @@ class WideTable:
             if place:
                 yield ""
             yield self._block([*names, *block], _limits(names, block, width, gap))
+        if self.note:
+            yield Text(self.note, style="dim")
+
+    def markdown(self) -> str:
+        """Return the table as Markdown, without its title."""
+        columns = [*self.names, *self.columns]
+        lines = [
+            _markdown_row([each.heading for each in columns]),
+            _markdown_row(["---", *["---:"] * (len(columns) - 1)]),
+            *map(_markdown_row, zip(*(each.cells for each in columns), strict=True)),
+        ]
+        return "\n".join(lines) + "\n" + (f"\n{self.note}\n" if self.note else "")
 
     def _block(self, columns: Sequence[TableColumn], limits: Sequence[int]) -> Table:
         table = Table(
@@ -169,52 +183,34 @@ def _width(cell: str | Text) -> int:
     return max((line.cell_len for line in text.split("\n")), default=0)
 
 
-_TEXTS = ("joint", "controller", "verdict", "certified")  # columns that may fold
-
-
-class Grid(NamedTuple):
-    key: str  # its name in files
-    title: str  # what it shows
-    headings: tuple[str, ...]  # of the columns; the first column is text
-    rows: tuple[tuple[str, ...], ...]  # the cells
-    note: str = ""  # what must be known to read it
-
-    def markdown(self) -> str:
-        """Return the table as Markdown, without its title."""
-        lines = [_row(self.headings), _row(["---", *["---:"] * (len(self.headings) - 1)])]
-        lines += [_row(cells) for cells in self.rows]
-        return "\n".join(lines) + "\n" + (f"\n{self.note}\n" if self.note else "")
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        columns = columns_of(self.headings, self.rows, (self.headings[0], *_TEXTS))
-        names = 1 + (self.headings[1:2] in (("joint",), ("controller",)))
-        yield WideTable(columns[:names], columns[names:], title=self.title, box=SIMPLE)
-        if self.note:
-            yield Text(self.note, style="dim")
+def spaced(tables: Iterable[WideTable]) -> Iterator[RenderableType]:
+    """Yield tables with an empty line below each."""
+    for table in tables:
+        yield table
         yield ""
 
 
-def grids_text(grids: Iterable[RenderableType], width: int = UNLIMITED_WIDTH) -> str:
+def tables_text(tables: Iterable[RenderableType], width: int = UNLIMITED_WIDTH) -> str:
     """Return tables as plain text without colours; one line a row however long it is."""
     console = plain_console(width)
     with console.capture() as capture:
-        for grid in grids:
-            console.print(grid)
+        for table in tables:
+            console.print(table)
     lines = (line.rstrip() for line in capture.get().splitlines())
     return "\n".join(lines).strip("\n") + "\n"
 
 
-def grids_markdown(grids: Iterable[Grid]) -> str:
+def tables_markdown(tables: Iterable[WideTable]) -> str:
     """Return tables as Markdown, each between comments that name it."""
     parts = []
-    for grid in grids:
-        body = f"### {grid.title}\n\n{grid.markdown()}"
-        parts.append(f"<!-- begin {grid.key} -->\n{body}<!-- end {grid.key} -->\n")
+    for table in tables:
+        body = f"### {table.title}\n\n{table.markdown()}"
+        parts.append(f"<!-- begin {table.key} -->\n{body}<!-- end {table.key} -->\n")
     return "\n".join(parts)
 
 
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def _markdown_row(cells: Iterable[str | Text]) -> str:
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
 
 
 ASCII_MARKS: Mapping[Verdict, str] = {**MARKS, Verdict.BETTER: "v", Verdict.WORSE: "^"}
@@ -336,7 +332,7 @@ class ComparisonTable:
 
 def table_text(comparison: Comparison, width: int = 100) -> str:
     """Return the table as plain text without colours or trailing spaces."""
-    return grids_text([ComparisonTable(comparison)], width)
+    return tables_text([ComparisonTable(comparison)], width)
 
 
 def _block(title: str, columns: Sequence[TableColumn]) -> Table:

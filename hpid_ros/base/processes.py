@@ -81,6 +81,7 @@ OPTIONAL = {
     "rosbags": Library(
         "writing bags, and reading those of ROS 1 and reports of a simulated robot", "rosbags"
     ),
+    "mcap": Library("writing bags", "mcap"),
     # What the live page is made of comes with the first of them.
     **dict.fromkeys(
         ("nicegui", "fastapi", "starlette", "uvicorn"),

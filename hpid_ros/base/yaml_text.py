@@ -31,8 +31,13 @@ class _Writer(yaml.SafeDumper):  # type: ignore[misc]
         return True
 
 
+class _WriterWithNul(_Writer):
+    """For readers other than rcl, whose texts end at a NUL."""
+
+
 def _text(writer: _Writer, text: str) -> yaml.ScalarNode:
-    if "\0" in text or any("\ud800" <= character <= "\udfff" for character in text):
+    has_nul = "\0" in text and not isinstance(writer, _WriterWithNul)
+    if has_nul or any("\ud800" <= character <= "\udfff" for character in text):
         raise SettingError(f"{text!r} cannot be written to a file: it is no text of Unicode")
     is_plain = _PLAIN.fullmatch(text) and text.lower() not in _OTHERWISE
     style = None if is_plain else "'" if text.isprintable() else '"'
@@ -40,16 +45,23 @@ def _text(writer: _Writer, text: str) -> yaml.ScalarNode:
 
 
 _Writer.add_representer(str, _text)
+_WriterWithNul.add_representer(str, _text)
 
 
-def dump_yaml(document: Any, *, flow: bool | None = False, width: float = sys.maxsize) -> str:
+def dump_yaml(
+    document: Any,
+    *,
+    flow: bool | None = False,
+    width: float = sys.maxsize,
+    may_have_nul: bool = False,
+) -> str:
     """Return a document as YAML, its keys in their order.
 
     ``flow`` writes collections in one line each, None only those without others in them.
     """
     return yaml.dump(  # type: ignore[no-any-return]
         document,
-        Dumper=_Writer,
+        Dumper=_WriterWithNul if may_have_nul else _Writer,
         sort_keys=False,
         allow_unicode=True,
         default_flow_style=flow,

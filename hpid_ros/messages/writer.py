@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hpid_ros.base.errors import BagError, HpidError, ResultExistsError, unknown_name
-from hpid_ros.base.files import finished_folder
+from hpid_ros.base.files import finished_folder, write_file
+from hpid_ros.base.yaml_files import parse_yaml
+from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.messages.columns import JOINT_TRAJECTORY, TopicBatch
 from hpid_ros.messages.storage import Progress, Storage, no_progress
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection, Qos
     from rosbags.typesys.store import Typestore
     from typing_extensions import Self
 
@@ -44,7 +45,14 @@ class BagTopic(NamedTuple):
 
     name: str  # the topic's name
     type: str  # its type, for instance "sensor_msgs/msg/JointState"
-    connection: Connection  # the same in the words of rosbags
+    channel: int  # its number in the file
+
+
+class _Recorded(NamedTuple):
+    """What ``metadata.yaml`` says of a topic besides its name and type."""
+
+    qos: list[dict[str, Any]]  # offered profiles
+    hash: str  # of the type
 
 
 class BagWriter:
@@ -65,27 +73,24 @@ class BagWriter:
     """
 
     def __init__(self, path: Path | str, *, metadata: Mapping[str, str] | None = None) -> None:
+        # A library that is missing is named before anything is created.
+        jazzy_types()
+        from hpid_ros.messages.mcap_writer import McapWriter
+
         self.path = Path(path)
+        self._metadata = dict(metadata or {})
         self._topics: list[BagTopic] = []
+        self._recorded: list[_Recorded] = []
         self._failure: str | None = None
         self._is_gone = False
         self._is_closed = False
-        from rosbags.rosbag2 import WriterError
-
-        from hpid_ros.messages.rosbags_internals import FlushingWriter
-
-        self._refusal = WriterError
         try:
-            self._writer = FlushingWriter(self.path)
-            for name, text in (metadata or {}).items():
-                self.describe(name, text)
-            self._writer.open()
-        except WriterError as error:
-            if self.path.exists():
-                raise ResultExistsError(
-                    f"bag {self.path} exists already, nothing is overwritten"
-                ) from error
-            raise BagError(f"cannot create bag {self.path}: {error}") from error
+            self.path.mkdir(parents=True)
+            self._file = McapWriter(self.path / f"{self.path.name}.mcap")
+        except FileExistsError as error:
+            raise ResultExistsError(
+                f"bag {self.path} exists already, nothing is overwritten"
+            ) from error
         except OSError as error:
             raise BagError(f"cannot create bag {self.path}: {error.strerror or error}") from error
 
@@ -96,13 +101,12 @@ class BagWriter:
             name: Its name; an entry of that name is replaced.
             text: What it says.
         """
-        self._writer.set_custom_data(name, text)
+        self._metadata[name] = text
 
     @property
     def counts(self) -> dict[str, int]:
         """Messages taken so far, by topic; after a failure or closing, those in the file."""
-        counts = self._writer.counts
-        return {topic.name: counts[topic.connection.id] for topic in self._topics}
+        return {topic.name: self._file.counts[topic.channel] for topic in self._topics}
 
     def add_topic(
         self,
@@ -130,15 +134,17 @@ class BagWriter:
             raise BagError(f"bag {self.path}: {unknown_name('message type', type, types.types)}")
         if any(topic.name == name for topic in self._topics):
             raise BagError(f"bag {self.path}: topic {name!r} was added before")
-        connection = self._writer.add_connection(
-            name,
-            type,
-            typestore=types,
-            # The hash of a foreign type is not known here; readers do not need it.
-            **({} if type in types.types else {"msgdef": definition or "", "rihs01": "unknown"}),
-            offered_qos_profiles=_profiles(qos),
-        )
-        self._topics.append(topic := BagTopic(name, type, connection))
+        if type in types.types:
+            definition, _ = types.generate_msgdef(type, ros_version=2)
+            type_hash = types.hash_rihs01(type)
+        else:
+            type_hash = "unknown"  # of a foreign type; readers do not need it
+        recorded = _Recorded(_profiles(qos), type_hash)
+        profiles = dump_yaml(recorded.qos).strip()
+        channel = self._file.add_channel(name, type, definition or "", profiles)
+        topic = BagTopic(name, type, channel)
+        self._topics.append(topic)
+        self._recorded.append(recorded)
         return topic
 
     def write(self, topic: BagTopic, log_time_ns: int, raw: bytes) -> None:
@@ -159,13 +165,12 @@ class BagWriter:
             raise BagError(
                 f"bag {self.path}: log time {log_time_ns} ns of {topic.name} is not in [0, 2^63)"
             )
+        if not self._has(topic):
+            raise BagError(f"bag {self.path}: {topic.name} is no topic of it")
         try:
-            self._writer.write(topic.connection, log_time_ns, raw)
+            self._file.write(topic.channel, log_time_ns, raw)
         except OSError as error:
             raise self._fail(error) from error
-        except self._refusal as error:
-            self._check_open()
-            raise BagError(f"bag {self.path}: {topic.name} is no topic of it") from error
 
     def flush(self) -> None:
         """Hand everything that was written to the operating system, for instance when idle.
@@ -175,12 +180,9 @@ class BagWriter:
                 was made: what goes on being written to a deleted file is lost with the process.
         """
         self._check_open()
-        mcap = self._writer.mcap
-        if mcap is None:
-            return
         try:
-            mcap.flush()
-            self._is_gone = not mcap.is_in_place()
+            self._file.flush()
+            self._is_gone = not self._file.is_in_place()
         except OSError as error:
             raise self._fail(error) from error
         if self._is_gone:
@@ -218,62 +220,126 @@ class BagWriter:
         if self._is_gone:
             # Whatever is at the path now is somebody else's. A bag that was moved is as after
             # kill -9: without index, and repairable.
-            self._writer.abort()
+            self._file.abort()
             return
         try:
-            self._writer.close()
+            information = self._information()
+            self._file.finish(dump_yaml(information, may_have_nul=True).strip())
+            document = {"rosbag2_bagfile_information": information}
+            text = dump_yaml(document, may_have_nul=True)
+            write_file(self.path / "metadata.yaml", text)
         except (OSError, ValueError) as error:  # of a file that a failure has closed
             with suppress(OSError, ValueError):
-                if (mcap := self._writer.mcap) is not None:
-                    mcap.abort()
+                self._file.abort()
             reason = getattr(error, "strerror", None) or error
             raise BagError(f"cannot finish bag {self.path}: {reason}") from error
 
+    def _information(self) -> dict[str, Any]:
+        """Return what rosbag2 keeps of a bag, version 9 of it."""
+        start_ns, counts = self._file.start_ns, self.counts
+        extent = {
+            "duration": {"nanoseconds": max(0, self._file.end_ns - start_ns)},
+            "starting_time": {"nanoseconds_since_epoch": start_ns},
+            "message_count": sum(counts.values()),
+        }
+        file = f"{self.path.name}.mcap"
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": recorded.qos,
+                    "type_description_hash": recorded.hash,
+                },
+                "message_count": counts[topic.name],
+            }
+            for topic, recorded in zip(self._topics, self._recorded, strict=True)
+        ]
+        return {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [file],
+            **extent,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": file, **extent}],
+            "custom_data": self._metadata or None,
+            "ros_distro": "jazzy",  # whose message definitions these are
+        }
+
     def _fail(self, error: OSError) -> BagError:
         self._failure = f"cannot be written: {error.strerror or error}"
-        self._writer.count_what_is_stored()
         return BagError(f"bag {self.path} {self._failure}")
+
+    def _has(self, topic: BagTopic) -> bool:
+        place = topic.channel - 1
+        return place < len(self._topics) and self._topics[place] is topic
 
     def _check_open(self) -> None:
         if self._failure is not None:
             raise BagError(f"bag {self.path} {self._failure}")
 
 
-def _profiles(qos: TopicQos | str | None) -> list[Qos]:
-    """Return offered profiles in the words of rosbags."""
-    from hpid_ros.messages.rosbags_internals import recorded_qos
+_POLICIES: Mapping[str, Sequence[str]] = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "liveliness": (
+        *("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown"),
+        "best_available",
+    ),
+}
+"""The names of rmw's policies in the order of their numbers, which bags before version 9 have."""
+_DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
+# RMW_DURATION_INFINITE, as rosbag2 writes an unset deadline, lifespan or lease.
+_FOREVER = {"sec": 9_223_372_036, "nsec": 854_775_807}
 
+
+def _profiles(qos: TopicQos | str | None) -> list[dict[str, Any]]:
+    """Return offered profiles as ``metadata.yaml`` has them."""
     if isinstance(qos, str):
-        return recorded_qos(qos) or [_rosbags_qos(TopicQos())]
-    return [_rosbags_qos(qos or TopicQos())]
+        return _recorded_profiles(qos) or [_profile(TopicQos())]
+    return [_profile(qos or TopicQos())]
 
 
-def _rosbags_qos(qos: TopicQos) -> Qos:
-    """Return the profile in the words of rosbags."""
-    from rosbags.interfaces import (
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
+def _profile(qos: TopicQos) -> dict[str, Any]:
+    return {
+        "history": "keep_last",
+        "depth": qos.depth,
+        "reliability": "reliable" if qos.reliable else "best_effort",
+        "durability": "transient_local" if qos.transient_local else "volatile",
+        "deadline": _FOREVER,
+        "lifespan": _FOREVER,
+        "liveliness": "automatic",
+        "liveliness_lease_duration": _FOREVER,
+        "avoid_ros_namespace_conventions": False,
+    }
 
-    # RMW_DURATION_INFINITE, as rosbag2 writes an unset deadline, lifespan or lease.
-    forever = QosTime(9_223_372_036, 854_775_807)
-    return Qos(
-        history=QosHistory.KEEP_LAST,
-        depth=qos.depth,
-        reliability=QosReliability.RELIABLE if qos.reliable else QosReliability.BEST_EFFORT,
-        durability=QosDurability.TRANSIENT_LOCAL
-        if qos.transient_local
-        else QosDurability.VOLATILE,
-        deadline=forever,
-        lifespan=forever,
-        liveliness=QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=forever,
-        avoid_ros_namespace_conventions=False,
-    )
+
+def _recorded_profiles(text: str) -> list[dict[str, Any]]:
+    """Return offered profiles from their YAML; none if it cannot be read."""
+    with suppress(BagError, KeyError, TypeError):
+        return [_recorded_profile(each) for each in parse_yaml("profiles", text, BagError) or ()]
+    return []
+
+
+def _recorded_profile(recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a profile of another bag, its policies by their names."""
+    return {
+        **{key: _policy(names, recorded[key]) for key, names in _POLICIES.items()},
+        **{key: {part: recorded[key][part] for part in _FOREVER} for key in _DURATIONS},
+        **{key: recorded[key] for key in ("depth", "avoid_ros_namespace_conventions")},
+    }
+
+
+def _policy(names: Sequence[str], recorded: object) -> str:
+    """Return a policy's name, which bags have as a number or in words."""
+    if isinstance(recorded, int):
+        return names[recorded] if 0 <= recorded < len(names) else "unknown"
+    name = str(recorded).lower()
+    return name if name in names else "unknown"
 
 
 _LATCHED = TopicQos(transient_local=True, depth=1)

@@ -2,14 +2,14 @@
 
 Every index and norm here is a cost: a ratio below one is an improvement. Runs of unlike length,
 rate or reference have no ratios: their numbers stand beside each other and say nothing. Repeats
-of one run are folded into their medians; the same runs in two engines are held against each other.
+of one run are folded into their medians.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 
@@ -487,61 +487,3 @@ def _change(value: float, kind: Verdict) -> str:
 def enumerate_words(items: list[str]) -> str:
     """Return items as a list in words."""
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
-
-
-BySeed = Mapping[int, float]  # a number of each run, by its seed
-
-
-@dataclass(frozen=True)
-class EngineTotal:
-    """One number of one controller in two engines."""
-
-    experiment: str  # name of the experiment
-    controller: str  # label of the controller
-    quantity: Quantity  # which number
-    values: Mapping[str, BySeed]  # by engine, the one that the other is held against first
-    ratios: Mapping[str, BySeed] = field(default_factory=dict)
-    unit: str = ""  # of the number; that of joints which turn if empty
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "unit", self.unit or self.quantity.unit)
-
-    @property
-    def distances(self) -> dict[int, float]:
-        """The second engine's number over the first's with the same seed, less 1, by seed."""
-        against, own = self.values.values()
-        found = {seed: ratio(own[seed], against[seed]) - 1.0 for seed in own if seed in against}
-        return {seed: each for seed, each in found.items() if not math.isnan(each)}
-
-    @property
-    def distance(self) -> float | None:
-        """Median of the distances; None if no seed has run in both engines."""
-        return median([*self.distances.values()])
-
-    @property
-    def largest_distance(self) -> float | None:
-        """Of the distances, the one that is farthest from 0."""
-        return max(self.distances.values(), key=abs, default=None)
-
-
-def median(values: Sequence[float]) -> float | None:
-    """Return the median of some numbers; None of none."""
-    return median_and_quartiles(values)[0] if values else None
-
-
-def engine_mapping(totals: Iterable[EngineTotal]) -> dict[str, object]:
-    """Return medians, ratios and distances by experiment, controller and quantity, for JSON."""
-    found: dict[str, dict[str, dict[str, object]]] = {}
-    for total in totals:
-        of_experiment = found.setdefault(total.experiment, {})
-        of_experiment.setdefault(total.controller, {})[total.quantity.key] = {
-            "values": _medians(total.values),
-            "ratios": _medians(total.ratios),
-            "distance": for_json(total.distance),
-            "largest_distance": for_json(total.largest_distance),
-        }
-    return {**found}
-
-
-def _medians(numbers: Mapping[str, BySeed]) -> dict[str, float | None]:
-    return {engine: for_json(median(list(each.values()))) for engine, each in numbers.items()}

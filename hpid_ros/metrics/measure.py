@@ -317,8 +317,6 @@ def expanded(source: Source) -> list[Source]:
 
 def recordings_of(result: Path) -> dict[str, Path]:
     """Return the bags of a result folder, by label."""
-    if (result / "engines.json").is_file():
-        raise SettingError(f"{result} is of several engines: name one of its folders")
     if not (result / RESULT).is_file():
         raise SettingError(f"{result} is no result folder: it has no {RESULT}")
     sources = expanded(Source(result))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from importlib.util import find_spec
 
 import numpy as np
-import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray, Vector3Stamped
 from harness.graph import Told, ros_arguments
+from harness.interfaces import needs
 from harness.places import URDF
 from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
@@ -248,10 +247,7 @@ STOPPED, PLAYING, PAUSED, QUITTING = range(4)  # simulation_interfaces/msg/Simul
 UNSUPPORTED, OK, FAILED, ALREADY = 0, 1, 4, 101  # simulation_interfaces/msg/Result, and one more
 
 
-@pytest.mark.skipif(
-    find_spec("simulation_interfaces") is None,
-    reason="simulation_interfaces, which PyPI has not, is not installed",
-)
+@needs("simulation_interfaces")
 def test_a_simulation_is_held_stepped_reset_and_ended_by_the_standard(harness, tmp_path):
     from simulation_interfaces import msg, srv
 

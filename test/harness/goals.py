@@ -1,16 +1,14 @@
 """Clients of FollowJointTrajectory, and joints whose controllers are real processes."""
 
 import time
-from importlib.util import find_spec
 from types import SimpleNamespace
 
-import pytest
 from builtin_interfaces.msg import Duration
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from harness.control_msgs import why_not
 from harness.graph import ros_arguments
+from harness.interfaces import needs
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.yaml_text import inline_yaml
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
@@ -21,7 +19,7 @@ JOINTS = ("shoulder", "elbow")
 PERIOD = 0.005  # [s] between states
 ASKS_AGAIN = 0.05  # [s] of the wall clock
 GAINS = {"law": "pid", "gains__p": 100.0, "gains__i": 100.0, "gains__d": 20.0}
-needs_control_msgs = pytest.mark.skipif(find_spec("control_msgs") is None, reason=why_not())
+needs_control_msgs = needs("control_msgs")
 
 ABORTED, CANCELED, SUCCEEDED = 6, 5, 4  # action_msgs/msg/GoalStatus
 

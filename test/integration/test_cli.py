@@ -59,39 +59,30 @@ def test_the_robots_description_is_parsed_once_in_a_command(
 
 
 @needs_bullet
-def test_both_engines_are_two_whole_comparisons_and_their_distance(
-    experiment_file, tmp_path, hpid, refused
+def test_runs_of_one_controller_in_two_engines_are_compared_by_their_bags(
+    experiment_file, tmp_path, hpid
 ):
-    file, both = experiment_file(duration=0.1), tmp_path / "both"
-    command = ["compare", file, "--in-process", "--engine", "both", "-o", both]
-    code, printed, _ = hpid(*command)
-    assert code == DONE
-    for words in ("in pybullet:", "in mujoco:", "short: both engines"):
-        assert words in printed
-    runs = []
+    file = experiment_file(duration=0.1)
+    bags, totals = [], []
     for engine in ENGINES:
-        alone = compared(file, tmp_path / engine, "--engine", engine) / "result.json"
-        assert (both / engine / "result.json").read_bytes() == alone.read_bytes()
-        runs.append(json.loads(alone.read_text())["indices"]["runs"])
-    found = json.loads((both / "engines.json").read_text())["short"]
-    for label in ("PID", "hPID"):
-        assert (both / ENGINES[0] / "bags" / label).is_dir()
-        values = [each[label]["totals"]["ivc"] for each in runs]
-        assert list(found[label]["ivc"]["values"].values()) == values
-        assert found[label]["ivc"]["distance"] == values[1] / values[0] - 1.0
-    assert "--force" in refused(*command)
+        folder = compared(file, tmp_path / engine, "--engine", engine)
+        runs = json.loads((folder / "result.json").read_text())["indices"]["runs"]
+        bags.append(folder / "bags" / "hPID")
+        totals.append(runs["hPID"]["totals"]["ivc"])
+    code, printed, _ = hpid("metrics", *bags, "--labels", *ENGINES, "--json")
+    assert code == DONE
+    found = json.loads(printed)
+    assert [found["runs"][engine]["totals"]["ivc"] for engine in ENGINES] == totals
+    assert found["ratios"][ENGINES[1]]["totals"]["ivc"] == totals[1] / totals[0]
 
 
 def test_an_engine_that_cannot_be_is_one_line_and_leaves_no_folder(tmp_path, monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "pybullet", None)  # as if it were not installed
     folder, missing = tmp_path / "r", "is not installed: pip install pybullet, or"
-    for command in ("compare", "study"):
-        assert missing in refused(command, "--engine", "both", "-o", folder)
-    for command in (["run"], ["sweep", "--vary", "mu=0.1"], ["tune", "--law", "pid"]):
+    sweep, tune = ["sweep", "--vary", "mu=0.1"], ["tune", "--law", "pid"]
+    for command in (["compare"], ["study"], ["run"], sweep, tune):
         assert missing in refused(*command, "--engine", "pybullet", "-o", folder)
-        told = refused(*command, "--engine", "both", "-o", folder)
-        assert "takes pybullet or mujoco" in told
-    assert "unknown engine" in refused("run", "--engine", "bulet", "-o", folder)
+        assert "unknown engine" in refused(*command, "--engine", "bulet", "-o", folder)
     assert not folder.exists()
 
 
@@ -169,12 +160,10 @@ def test_a_reader_that_has_read_enough_is_no_error(arguments, read):
         command.communicate()
 
 
-@needs_bullet
 @pytest.mark.faults
 def test_a_reader_that_has_read_enough_costs_no_result(experiment_file, tmp_path):
     file, folder = experiment_file(duration=0.05), tmp_path / "r"
-    command = ["compare", str(file), "--in-process", "--engine", "both", "-o", str(folder)]
-    command += ["--figures", "svg"]
+    command = ["compare", str(file), "--in-process", "--figures", "svg", "-o", str(folder)]
     reader, writer = os.pipe()
     os.close(reader)
     ended = subprocess.run(
@@ -184,7 +173,7 @@ def test_a_reader_that_has_read_enough_costs_no_result(experiment_file, tmp_path
     )
     os.close(writer)
     assert (ended.returncode, ended.stderr) == (UNREAD, b"")
-    assert (folder / "engines.json").exists()
+    assert (folder / "report.html").exists()
     assert [*folder.rglob("figures/*.svg")]
 
 

@@ -1,4 +1,4 @@
-"""Studies on a Dask cluster and in shards: the numbers of one machine, whatever is lost."""
+"""Studies on a Dask cluster: the numbers of one machine, whatever is lost."""
 
 import os
 import re
@@ -282,24 +282,3 @@ def test_a_robot_travels_with_its_meshes_and_keeps_its_numbers(path):
     for one, other in zip(here.joints, away.joints, strict=True):
         assert one.position.tolist() == other.position.tolist()
         assert one.effort.tolist() == other.effort.tolist()
-
-
-def test_shards_put_together_are_the_whole(studied, tmp_path, capsys):
-    files, near = studied
-    parts = [tmp_path / f"part{k}" for k in (1, 2, 3)]
-    for k, part in enumerate(parts, 1):
-        assert study(files, part, "--shard", f"{k}/3") == DONE
-    made = [len((part / "runs.jsonl").read_text().splitlines()) for part in parts]
-    assert made == [3, 3, 2]
-    merge = [word for part in parts for word in ("--merge", part)]
-    assert study(files, tmp_path / "all", *merge) == DONE
-    assert written(tmp_path / "all") == written(near)
-    for options, words in (
-        (merge[:4], "2 of 8 runs are in none of the parts"),
-        (("--merge", tmp_path), "is no study"),
-        (("--shard", "4/3"), "a shard is K/N"),
-    ):
-        capsys.readouterr()
-        assert study(files, tmp_path / "few", *options) == BAD_INPUT
-        assert words in capsys.readouterr().err
-    assert not (tmp_path / "few").exists()

@@ -8,7 +8,7 @@ from harness.experiments import write_experiment
 from harness.studies import compared
 
 from hpid_bench.cli.commands import DONE, figures
-from hpid_bench.experiment.result_folder import MARKER, Marker
+from hpid_bench.experiment.result_folder import MARKER
 
 pytestmark = pytest.mark.slow
 
@@ -63,20 +63,6 @@ def test_parameters_of_a_bridge_that_were_tampered_with_are_one_line(
     for file in folder.glob("nodes/*/bridge.yaml"):
         file.write_text(bridge)
     assert "bridge.yaml" in refused("figures", folder, "--force")
-
-
-def test_figures_of_one_of_several_engines_belong_to_the_whole_result(
-    result, tmp_path, hpid, refused
-):
-    both, one = tmp_path / "both", tmp_path / "both" / "mujoco"
-    shutil.copytree(result, one, ignore=shutil.ignore_patterns("figures", MARKER))
-    written = {str(each.relative_to(both)) for each in both.rglob("*") if each.is_file()}
-    Marker(written, is_finished=True).write(both)
-    (both / "engines.json").touch()
-    assert "name one of its folders" in refused("figures", both)
-    assert hpid("figures", one, "--formats", "svg")[0] == DONE
-    files = json.loads((both / MARKER).read_text())["files"]
-    assert {f"mujoco/figures/{name}" for name in drawn(one)} < set(files)
 
 
 def test_unknown_formats_are_refused_before_anything_is_run(experiment_file, tmp_path, refused):

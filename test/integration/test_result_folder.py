@@ -59,31 +59,25 @@ def test_a_result_is_replaced_by_what_the_package_wrote_and_nothing_else_is_touc
     assert not (output / "nodes" / "PID").exists()
 
 
-def test_a_result_in_parts_is_replaced_as_a_whole_and_its_paths_whatever_its_folder_is_called(
-    tmp_path,
-):
+def test_a_result_is_replaced_with_its_paths_whatever_its_folder_is_called(tmp_path):
     output = tmp_path / f"é und {'lang ' * 20}" / "result"
     output.parent.mkdir()
     for text, is_new in (("old", False), ("new", True)):
         with ResultFolder.create(output, force=is_new) as folder:
-            folder.write("both.txt", text)
-            for engine in ("pybullet", "mujoco"):
-                part = folder.part(engine)
-                part.write("result.json", text)
-                part.bag("PID").mkdir(parents=True)
-                write_file(part.bag("PID") / "PID.mcap", text)
-                part.write(f"figures/{text}.png", text)
-                place = part.nodes("PID")
-                write_document(place / "bridge.yaml", {"robot": f"{place.resolve()}/robot.urdf"})
+            folder.write("result.json", text)
+            folder.bag("PID").mkdir(parents=True)
+            write_file(folder.bag("PID") / "PID.mcap", text)
+            folder.write(f"figures/{text}.png", text)
+            place = folder.nodes("PID")
+            write_document(place / "bridge.yaml", {"robot": f"{place.resolve()}/robot.urdf"})
         if not is_new:
-            write_file(output / "mujoco" / "note.txt", "mine")
+            write_file(output / "figures" / "note.txt", "mine")
     files = files_in(output)
-    assert files.pop("mujoco/note.txt") == b"mine"
+    assert files.pop("figures/note.txt") == b"mine"
     assert {name for name in files if "old" in name} == set()
-    for engine in ("pybullet", "mujoco"):
-        assert files[f"{engine}/bags/PID/PID.mcap"] == b"new"
-        named = yaml.safe_load(files[f"{engine}/nodes/PID/bridge.yaml"].decode())["robot"]
-        assert named == f"{output.resolve()}/{engine}/nodes/PID/robot.urdf"
+    assert files["bags/PID/PID.mcap"] == b"new"
+    named = yaml.safe_load(files["nodes/PID/bridge.yaml"].decode())["robot"]
+    assert named == f"{output.resolve()}/nodes/PID/robot.urdf"
 
 
 def ended_by(error, output, force):

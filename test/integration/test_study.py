@@ -4,7 +4,6 @@ import csv
 import importlib
 import json
 import re
-import shutil
 import sys
 from dataclasses import replace
 
@@ -182,23 +181,36 @@ def test_a_journal_holds_what_was_written_or_is_refused(tmp_path):
             read_journal(journal)
 
 
-def test_what_cannot_be_carried_on_or_merged_is_one_line(studied, tmp_path, refused):
+def test_what_cannot_be_carried_on_is_one_line(studied, refused):
     files, folder = studied
-    shutil.copytree(folder, other := tmp_path / "b")
-    journal = other / "runs.jsonl"
-    first, *others = read_journal(journal)
+    journal = folder / "runs.jsonl"
+    first, *_ = read_journal(journal)
     numbers = {joint: {**each, "ivc": 1.0} for joint, each in first.record.numbers.items()}
-    records = [replace(first, record=RunRecord(numbers)), *others]
-    journal.write_text("".join(each.line() + "\n" for each in records))
-    command = ("study", *files, "--seeds", 2)
-    line = refused(*command, "-o", tmp_path / "c", "--merge", folder, "--merge", other)
+    command = ("study", *files, "--seeds", 2, "--resume", "-o", folder)
+    with journal.open("a") as file:
+        file.write(replace(first, record=RunRecord(numbers)).line() + "\n")
+    line = refused(*command)
     assert "calm PID seed=1 in mujoco is there with other numbers than before" in line
     journal.write_bytes(b"\xff\xfe\n" + journal.read_bytes())
     before = journal.read_bytes()
-    for options in (("--resume", "-o", other), ("--merge", other, "-o", tmp_path / "c")):
-        assert f"{journal}: line 1 is damaged" in refused(*command, *options)
+    assert f"{journal}: line 1 is damaged" in refused(*command)
     assert journal.read_bytes() == before
-    assert not (tmp_path / "c").exists()
+
+
+@needs_bullet
+def test_a_study_carried_on_in_another_engine_keeps_the_runs_of_the_first(
+    studied, tmp_path, study_runs
+):
+    files, folder = studied
+    assert study(files, tmp_path / "alone", "--engine", "pybullet", seeds=1) == DONE
+    study_runs.clear()
+    assert study(files, folder, "--engine", "pybullet", "--resume", seeds=1) == DONE
+    assert len(study_runs) == 4
+    for name in ("runs.csv", "study.json", "tables.txt"):
+        assert (folder / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+    study_runs.clear()
+    assert study(files, folder, "--resume") == DONE
+    assert not study_runs
 
 
 def test_a_failed_run_is_named_and_made_again_when_carried_on(studied, tmp_path, capsys, losing):
@@ -306,64 +318,6 @@ def test_a_page_is_written_only_between_its_marks(studied, tmp_path, monkeypatch
     tables = (folder / "tables.md").read_text()
     (loops,) = re.findall(r"<!-- begin loops -->\n.*?<!-- end loops -->\n", tables, re.S)
     assert page.read_text() == words.format(loops)
-
-
-def runs_of(folder):
-    """Return the numbers of every run and joint in runs.csv, by all that names it."""
-    names = ("experiment", "engine", "controller", "seed", "joint")
-    with (folder / "runs.csv").open() as file:
-        return {tuple(row.pop(name) for name in names): row for row in csv.DictReader(file)}
-
-
-@needs_bullet
-def test_the_other_engine_is_added_to_a_study_and_what_both_give_is_compared(
-    studied, tmp_path, capsys, study_runs
-):
-    files, folder = studied
-    alone = runs_of(folder)
-    assert "engines" not in saved(folder)
-    assert study(files, tmp_path / "pybullet", "--engine", "pybullet", seeds=1) == DONE
-    alone |= runs_of(tmp_path / "pybullet")
-    assert not (tmp_path / "pybullet" / "engines.csv").exists()
-    study_runs.clear()
-    assert study(files, folder, "--engine", "both", "--resume") == DONE
-    assert len(study_runs) == len([label for label in study_runs if "(pybullet)" in label]) == 8
-    assert "How far MuJoCo's totals lie from PyBullet's" in capsys.readouterr().out
-    runs = runs_of(folder)
-    assert alone.items() <= runs.items()
-    rows = list(csv.DictReader((folder / "engines.csv").open()))
-    found = set()
-    for row in rows:
-        name = (row["experiment"], row["controller"], row["seed"])
-        bullet, mujoco = (
-            runs[(name[0], engine, *name[1:], "all")][row["quantity"]]
-            for engine in ("pybullet", "mujoco")
-        )
-        assert (row["pybullet"], row["mujoco"]) == (bullet, mujoco)
-        assert float(row["distance"]) == float(mujoco) / float(bullet) - 1.0
-        found.add((*name, row["quantity"]))
-    assert found >= {(key[0], *key[2:4], each.key) for key in runs for each in INDICES}
-    assert any(float(row["distance"]) for row in rows)
-    document = saved(folder)
-    assert set(document["experiments"]) == {
-        f"{name} ({engine})" for name in ("calm", "noisy") for engine in ("pybullet", "mujoco")
-    }
-    ratio = document["experiments"]["noisy (mujoco)"]["controllers"]["hPID"]["ratios"]["ivc"]
-    of_engines = document["engines"]["noisy"]["hPID"]["ivc"]["ratios"]
-    assert of_engines["mujoco"] == pytest.approx(ratio["median"], rel=1e-12)
-    # A claim holds only if it does in both.
-    assert set(document["claims"]["hPID"][0]["figures"]) == set(document["experiments"])
-    assert {each.name for each in (folder / "experiments").iterdir()} == {
-        "calm.yaml",
-        "noisy.yaml",
-    }
-    whole, journal = contents(folder), folder / "runs.jsonl"
-    lines = journal.read_text().splitlines(keepends=True)
-    journal.write_text("".join(lines[:1] + lines[3:]) + lines[2][:99])
-    study_runs.clear()
-    assert study(files, folder, "--engine", "both", "--resume") == DONE
-    assert len(study_runs) == 2
-    assert contents(folder) == whole
 
 
 def test_robots_that_are_not_installed_are_named_and_left_out(monkeypatch, capsys):

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from hpid_bench.cli.commands.check_gains import gain_table as table_of_gains
 from hpid_bench.cli.terminal import output_console
-from hpid_bench.report.table import UNLIMITED_WIDTH, ComparisonTable, Grid, TableColumn, WideTable
+from hpid_bench.report.table import UNLIMITED_WIDTH, ComparisonTable, TableColumn, WideTable
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.settings import Timing
 from hpid_ros.metrics import Comparison
@@ -55,13 +55,14 @@ def comparison_table():
     return ComparisonTable(Comparison(tuple(runs)))
 
 
-def study_grid():
+def study_table():
     headings = ("index", "PID", "hPID", "ratio", "searched", "ratio")
     row = ("IVC [N m]", "34.758 (33.1..35.9)", "34.209 (33.0..34.9)", "0.984 (0.97..0.99)", "9")
-    return Grid("key", "totals", headings, ((*row, "8"), ("note", *["-"] * 5)), "Medians.")
+    rows = ((*row, "8"), ("note", *["-"] * 5))
+    return WideTable.of_rows(headings, rows, title="totals", note="Medians.")
 
 
-TABLES = (gain_table, comparison_table, study_grid)
+TABLES = (gain_table, comparison_table, study_table)
 
 
 @pytest.mark.parametrize("width", WIDTHS)

@@ -41,6 +41,7 @@ ONLY_IN = {
     "mujoco": {"simulation"},
     "pinocchio": {"robot"},
     "rosbags": {"messages"},
+    "mcap": {"messages"},
     "matplotlib": {"report", "tuning"},
     "jinja2": {"report", "tuning"},
     "PIL": {"report"},
@@ -63,7 +64,6 @@ PUBLISHED_OF_MODULES = {"os._exit", "sys._current_frames"}
 DOCUMENTED_BY_ROSBAGS = {
     "rosbags.interfaces",
     "rosbags.rosbag1",
-    "rosbags.rosbag2",
     "rosbags.serde",
     "rosbags.typesys",
     "rosbags.typesys.store",

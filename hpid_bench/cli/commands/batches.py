@@ -19,7 +19,7 @@ from rich.console import Console, RenderableType
 
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.options import (
-    chosen_engines,
+    chosen_engine,
     experiment_to_run,
     output_folder,
     print_engine_note,
@@ -40,26 +40,20 @@ from hpid_bench.experiment.search import (
 )
 from hpid_bench.experiment.study import (
     StudyResult,
-    grids,
-    merged,
     run_study,
     runs_csv,
-    save,
     study_folder,
+    tables,
 )
 from hpid_bench.experiment.study_plan import (
-    ALL,
-    JOURNAL,
-    StudyPlan,
     default_files,
     is_robot_installed,
     kept_records,
     plan_study,
-    shard_of,
 )
 from hpid_bench.experiment.sweep import Axis, plan_sweep, run_sweep
 from hpid_bench.report.console import TextConsole
-from hpid_bench.report.table import grids_markdown, grids_text
+from hpid_bench.report.table import spaced, tables_markdown, tables_text
 from hpid_ros.base.errors import RunError, SettingError, require_known
 from hpid_ros.base.names import require_label
 from hpid_ros.control.laws import LAWS
@@ -119,7 +113,7 @@ def _print(
         for table in tables:
             console.print(table)
     else:
-        print(grids_text(tables), end="")
+        print(tables_text(tables), end="")
 
 
 def sweep(options: argparse.Namespace) -> int:
@@ -148,20 +142,14 @@ def _new_folder(
 def study(options: argparse.Namespace) -> int:
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
-    if options.merge and (options.shard or options.resume):
-        raise SettingError("--merge makes no run: neither --shard nor --resume goes with it")
-    engines = chosen_engines(options)
     plan = plan_study(
         options.experiments or _shipped_files(),
         joints=options.joint,
         seeds=options.seeds,
-        engines=engines,
-        shard=shard_of(options.shard) if options.shard else ALL,
+        engine=chosen_engine(options),
     )
     console = TextConsole(stderr=True)
     path = output_folder(options, "study")
-    if options.merge:
-        return _merge(options, plan, path, console)
     made = partial(
         study_folder, path, force=options.force, resume=options.resume, inputs=plan.inputs
     )
@@ -172,16 +160,6 @@ def study(options: argparse.Namespace) -> int:
             result = run_study(plan, folder, runner, ended)
         _print_study(result, options.format)
     return FAILED if result.table.failures else DONE
-
-
-def _merge(options: argparse.Namespace, plan: StudyPlan, path: Path, console: Console) -> int:
-    result = merged(plan, options.merge)
-    inputs = [*plan.inputs, *(part / JOURNAL for part in options.merge)]
-    with study_folder(path, force=options.force, inputs=inputs) as folder:
-        save(result, folder)
-    _print_study(result, options.format)
-    console.print(f"result: {folder.path}", soft_wrap=True)
-    return DONE
 
 
 def _shipped_files() -> list[Path]:
@@ -195,13 +173,13 @@ def _shipped_files() -> list[Path]:
 
 
 def _print_study(result: StudyResult, form: str) -> None:
-    tables = grids(result)
+    found = tables(result)
     texts: dict[str, Callable[[], str]] = {
-        "docs": partial(grids_markdown, tables),
+        "docs": partial(tables_markdown, found),
         "csv": partial(runs_csv, result),
         "json": lambda: json.dumps(result.as_mapping(), indent=2) + "\n",
     }
-    _print(form, tables, texts)
+    _print(form, [*spaced(found)], texts)
 
 
 def tune(options: argparse.Namespace) -> int:

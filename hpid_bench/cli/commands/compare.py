@@ -10,15 +10,8 @@ from rich.console import Console
 
 from hpid_bench.cli.commands import DONE
 from hpid_bench.cli.options import (
-    BOTH,
-    chosen_engines,
     experiment_to_run,
-    loops_of,
-    named_experiment,
     output_folder,
-    print_undriven,
-    warn_uncontrolled,
-    warn_unlimited,
 )
 from hpid_bench.cli.terminal import (
     RunProgress,
@@ -29,13 +22,12 @@ from hpid_bench.cli.terminal import (
     print_runs,
     print_timing,
 )
-from hpid_bench.experiment.compare import Result, compare, compare_engines, run_controller
+from hpid_bench.experiment.compare import Result, compare, run_controller
 from hpid_bench.experiment.graph_run import GraphOptions
-from hpid_bench.experiment.in_process import RunReport, named
-from hpid_bench.experiment.result_folder import reopened
+from hpid_bench.experiment.in_process import RunReport
+from hpid_bench.experiment.result_folder import ResultFolder
 from hpid_bench.report.figures import require_formats
 from hpid_bench.report.table import ComparisonTable
-from hpid_ros.base.errors import SettingError
 
 REPORT = "report.html"
 
@@ -43,10 +35,6 @@ REPORT = "report.html"
 def run(options: argparse.Namespace) -> int:
     formats = () if options.figures == ("none",) else options.figures
     require_formats(formats)
-    if options.engine == BOTH:
-        if options.animation:
-            raise SettingError("--animation is of one engine: hpid render takes one of both")
-        return _run_in_both(options, formats)
     experiment = experiment_to_run(options)
     if options.animation:
         from hpid_bench.report.film import require_few
@@ -84,7 +72,7 @@ def _animate(console: Console, output: Path) -> None:
     from hpid_bench.report.film import FilmSettings, encoded
 
     film = rendered(console, output, (), FilmSettings())
-    with reopened(output) as folder:
+    with ResultFolder.reopen(output) as folder:
         folder.write(ANIMATION, encoded(film, ANIMATION[-5:]))
         save_in_report(folder, film)
 
@@ -94,45 +82,6 @@ def _draw(console: Console, result: Path, formats: Sequence[str]) -> None:
 
     draw_result(console, result, formats)
     console.print(f"{FIGURES}: {result / FIGURES}", soft_wrap=True)
-
-
-def _run_in_both(options: argparse.Namespace, formats: Sequence[str]) -> int:
-    """Run the comparison in both engines, one after the other, and print how far they differ."""
-    engines = [str(each) for each in chosen_engines(options)]
-    experiments = [named_experiment(options.experiment, engine) for engine in engines]
-    warn_uncontrolled(experiments)
-    first = experiments[0]
-    warn_unlimited(first.description, loops_of(first))
-    print_undriven(first)
-    output = output_folder(options, first.name)
-    console = output_console()
-    labels = [named(label, engine) for engine in engines for label in first.controllers]
-    unprinted = Unprinted()
-    with RunProgress(console, first, labels) as progress:
-
-        def show(result: Result, reports: Sequence[RunReport]) -> None:
-            with unprinted:
-                progress.finish()
-                console.print(f"\nin {result.experiment.world.engine}:")
-                _print(console, result, reports)
-                console.print()
-
-        grids = compare_engines(
-            *(experiments, output, progress),
-            in_process=options.in_process,
-            options=GraphOptions(options.processes),
-            force=options.force,
-            computed=show,
-        )
-    with unprinted:
-        for grid in grids:
-            console.print(grid)
-        reports = {f"report in {engine}": output / engine / REPORT for engine in engines}
-        print_result_places(console, {"both": output} | reports)
-    for engine in engines if formats else ():
-        _draw(console, output / engine, formats)
-    unprinted.require_none()
-    return DONE
 
 
 def run_one(options: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ from rich.console import Console
 from hpid_bench.cli.commands import DONE
 from hpid_bench.cli.options import progress
 from hpid_bench.cli.terminal import output_console, print_result_places
-from hpid_bench.experiment.result_folder import reopened
+from hpid_bench.experiment.result_folder import ResultFolder
 from hpid_bench.report.figures import PRINT_SAMPLES, Figure, figures_of, require_formats
 from hpid_ros.base.errors import ResultExistsError, SettingError
 from hpid_ros.base.names import node_sections
@@ -51,7 +51,7 @@ def draw_result(
         if path.exists() and not force:
             raise ResultExistsError(f"{path} exists; replace it with --force")
     labels = [each.label for each in found.comparison.runs]
-    with reopened(result) as folder:
+    with ResultFolder.reopen(result) as folder:
         for name, content in drawn_files(console, figures, labels, formats):
             folder.write(f"{FIGURES}/{name}", content)
 

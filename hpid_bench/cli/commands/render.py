@@ -14,7 +14,7 @@ from rich.console import Console
 from hpid_bench.cli.commands import DONE
 from hpid_bench.cli.options import progress, write_output
 from hpid_bench.cli.terminal import output_console, print_result_places
-from hpid_bench.experiment.result_folder import ResultFolder, reopened, system_errors
+from hpid_bench.experiment.result_folder import ResultFolder, system_errors
 from hpid_bench.report.film import (
     Film,
     FilmSettings,
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     film = rendered(console, result, options.controller, settings)
     content = encoded(film, target.suffix)
     if options.output is None or options.report:
-        with reopened(result) as folder:
+        with ResultFolder.reopen(result) as folder:
             if options.output is None:
                 folder.write(own.name, content)
             if options.report:

@@ -17,12 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rosbags.rosbag2 import Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
 
 from hpid_bench.cli.main import main
 from hpid_bench.report.page import Paragraph, data_quality
-from hpid_ros.base.errors import BagError, ResultExistsError
+from hpid_ros.base.errors import BagError, LibraryError, ResultExistsError
+from hpid_ros.base.processes import optional_libraries
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import quality_lines
@@ -34,7 +33,7 @@ from hpid_ros.messages.storage import (
     missed_messages,
     time_stood_still,
 )
-from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos, repair_bag
+from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos, jazzy_types, repair_bag
 
 COMMAND = JointStateTemplate(["elbow"], effort=True)
 
@@ -133,6 +132,64 @@ def test_metadata_and_quality_of_service_are_kept(tmp_path):
     assert (offered["durability"], offered["depth"]) == ("transient_local", 1)
     (offered,) = odom["topic_metadata"]["offered_qos_profiles"]
     assert (offered["reliability"], offered["durability"]) == ("best_effort", "volatile")
+
+
+NUMBERED = """
+- history: 2
+  depth: 5
+  reliability: 2
+  durability: 1
+  deadline: {sec: 1, nsec: 2}
+  lifespan: {sec: 3, nsec: 4}
+  liveliness: 3
+  liveliness_lease_duration: {sec: 5, nsec: 6}
+  avoid_ros_namespace_conventions: true
+"""
+NAMED = (
+    NUMBERED.replace("history: 2", "history: KEEP_ALL")
+    .replace("reliability: 2", "reliability: best_effort")
+    .replace("durability: 1", "durability: transient_local")
+    .replace("liveliness: 3", "liveliness: manual_by_topic")
+)
+
+
+@pytest.mark.parametrize("text", [NUMBERED, NAMED])
+def test_a_quality_of_service_of_another_bag_is_kept_whatever_its_version(tmp_path, text):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/a", JOINT_STATE, text)
+    with BagReader(tmp_path / "bag") as bag:
+        (found,) = bag.topics["/a"].connections[0].ext.offered_qos_profiles
+    assert (found.history.name, found.depth) == ("KEEP_ALL", 5)
+    assert (found.reliability.name, found.durability.name) == ("BEST_EFFORT", "TRANSIENT_LOCAL")
+    assert (found.deadline, found.lifespan) == ((1, 2), (3, 4))
+    assert (found.liveliness.name, found.liveliness_lease_duration) == ("MANUAL_BY_TOPIC", (5, 6))
+    assert found.avoid_ros_namespace_conventions
+
+
+@pytest.mark.parametrize(
+    "text", ["", "no list", "[1]", "{", "- {}", NUMBERED.replace("depth", "width"), "[[[[["]
+)
+def test_a_quality_of_service_that_cannot_be_read_is_that_of_a_plain_publisher(tmp_path, text):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/a", JOINT_STATE, text)
+    with BagReader(tmp_path / "bag") as bag:
+        (found,) = bag.topics["/a"].connections[0].ext.offered_qos_profiles
+    assert (found.reliability.name, found.depth) == ("RELIABLE", 10)
+
+
+def test_a_library_that_is_missing_is_named_before_anything_is_created(tmp_path, monkeypatch):
+    for library in ("mcap", "rosbags"):
+        with monkeypatch.context() as patched:
+            for name in [each for each in sys.modules if each.partition(".")[0] == library]:
+                patched.setitem(sys.modules, name, None)
+            patched.delitem(sys.modules, "hpid_ros.messages.mcap_writer")
+            jazzy_types.cache_clear()
+            with (
+                pytest.raises(LibraryError, match=f"bags.* needs {library}"),
+                optional_libraries(),
+            ):
+                BagWriter(tmp_path / "bag")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -294,16 +351,6 @@ def test_a_disk_without_room_for_the_index_is_said_when_closing(tmp_path, chunk_
     assert run.returncode == 1
     assert "BagError: cannot finish bag" in run.stderr.splitlines()[-1]
     assert not (tmp_path / "bag/metadata.yaml").exists()
-
-
-@pytest.mark.parametrize(("owner", "name"), [(McapWriter, "close_chunk"), (Writer, "abort")])
-def test_a_rosbags_that_lacks_what_is_used_is_named_before_anything_is_created(
-    owner, name, tmp_path, monkeypatch
-):
-    monkeypatch.delattr(owner, name)
-    with pytest.raises(BagError, match=rf"rosbags 0\.\S+: its {owner.__name__} has no {name}"):
-        BagWriter(tmp_path / "bag")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

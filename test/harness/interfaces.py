@@ -1,8 +1,8 @@
-"""The interfaces of control_msgs that the package uses, built where control_msgs is not installed.
+"""Interfaces of packages that PyPI lacks, built where they are not installed.
 
-PyPI has no control_msgs, but ROS from PyPI has the generators and all that their code is linked
-to. A session whose wheels are new takes some seconds to build the package; those that follow find
-it in pytest's cache.
+PyPI has neither control_msgs nor simulation_interfaces, but ROS from PyPI has the generators and
+all that their code is linked to. A session whose wheels are new takes some seconds to build a
+package; those that follow find it in pytest's cache. Built is what this package uses.
 """
 
 import hashlib
@@ -17,9 +17,10 @@ from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-NAME = "control_msgs"
+import pytest
+
 TOLERANCE = "float64 position; float64 velocity; float64 acceleration"
-DEFINITIONS = {  # of control_msgs 5
+CONTROL_MSGS = {  # version 5
     "msg/JointTolerance": f"string name; {TOLERANCE}",
     "msg/JointComponentTolerance": "uint16 X_AXIS=1; uint16 Y_AXIS=2; uint16 Z_AXIS=3; "
     f"uint16 TRANSLATION=4; uint16 ROTATION=5; string joint_name; uint16 component; {TOLERANCE}",
@@ -42,13 +43,35 @@ DEFINITIONS = {  # of control_msgs 5
     "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual; "
     "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error",
 }
+SIMULATION_INTERFACES = {  # version 1.5.1, Jazzy's
+    "msg/Result": "uint8 RESULT_FEATURE_UNSUPPORTED=0; uint8 RESULT_OK=1; "
+    "uint8 RESULT_NOT_FOUND=2; uint8 RESULT_INCORRECT_STATE=3; uint8 RESULT_OPERATION_FAILED=4; "
+    "uint8 result; string error_message",
+    "msg/SimulationState": "uint8 STATE_STOPPED=0; uint8 STATE_PLAYING=1; uint8 STATE_PAUSED=2; "
+    "uint8 STATE_QUITTING=3; uint8 state",
+    "msg/SimulatorFeatures": "uint8 SPAWNING=0; uint8 SIMULATION_RESET=20; "
+    "uint8 SIMULATION_RESET_TIME=21; uint8 SIMULATION_RESET_STATE=22; "
+    "uint8 SIMULATION_STATE_GETTING=24; uint8 SIMULATION_STATE_SETTING=25; "
+    "uint8 SIMULATION_STATE_PAUSE=26; uint8 STEP_SIMULATION_SINGLE=31; "
+    "uint16[] features; string[] spawn_formats; string custom_info",
+    "srv/GetSimulatorFeatures": "---; SimulatorFeatures features",
+    "srv/GetSimulationState": "---; SimulationState state; Result result",
+    "srv/SetSimulationState": "SimulationState state; ---; uint8 ALREADY_IN_TARGET_STATE=101; "
+    "uint8 STATE_TRANSITION_ERROR=102; uint8 INCORRECT_TRANSITION=103; Result result",
+    "srv/ResetSimulation": "uint8 SCOPE_DEFAULT=0; uint8 SCOPE_TIME=1; uint8 SCOPE_STATE=2; "
+    "uint8 SCOPE_SPAWNED=4; uint8 SCOPE_ALL=255; uint8 scope; ---; Result result",
+    "srv/StepSimulation": "uint64 steps 1; ---; Result result",
+}
+PACKAGES = {"control_msgs": CONTROL_MSGS, "simulation_interfaces": SIMULATION_INTERFACES}
 HASHES = {  # of these types in any installation of Jazzy: a field that differs is another type
-    "msg/DynamicJointState": "18024c98a62697680f581108eeed40b28fb4542fa0ac5a8e36f56c62b6813d26",
-    "action/FollowJointTrajectory": (
+    "control_msgs/msg/DynamicJointState": (
+        "18024c98a62697680f581108eeed40b28fb4542fa0ac5a8e36f56c62b6813d26"
+    ),
+    "control_msgs/action/FollowJointTrajectory": (
         "738ebcb7a2d7cfa42f9f1001cc99ce3a4383d1cfe508015d9be8485e4b1c66f6"
     ),
 }
-USED = (  # by these interfaces, and by the services of an action
+USED = (  # by these interfaces, by services and by actions
     *("action_msgs", "builtin_interfaces", "geometry_msgs", "service_msgs", "std_msgs"),
     *("trajectory_msgs", "unique_identifier_msgs"),
 )
@@ -63,8 +86,8 @@ HEADERS = Path(sysconfig.get_path("include"))  # of Python
 PREFIX = Path(sys.prefix)  # of the wheels
 
 
-def why_not():
-    """Return in a line why control_msgs is not there, for tests that are skipped without it."""
+def why_not(name):
+    """Return in a line why a package is not there, for tests that are skipped without it."""
     takes = {
         "C++ compiler (cc, c++)": shutil.which("cc") and shutil.which("c++"),
         "Python.h": (HEADERS / "Python.h").exists(),
@@ -72,25 +95,31 @@ def why_not():
         and find_spec("rosidl_generator_py"),
     }
     missing = ", no ".join(name for name, is_there in takes.items() if not is_there)
-    return f"{NAME} is not installed, and there is no {missing} to build it" if missing else ""
+    return f"{name} is not installed, and there is no {missing} to build it" if missing else ""
 
 
-def provide(cache):
-    """Let this process and its children import control_msgs, if it is installed or can be built.
+def needs(name):
+    """Return a mark for tests that need a package."""
+    return pytest.mark.skipif(find_spec(name) is None, reason=why_not(name))
+
+
+def provide(name, cache):
+    """Let this process and its children import a package, if it is installed or can be built.
 
     Args:
+        name: One of ``PACKAGES``.
         cache: Folder of what earlier sessions built.
     """
-    if find_spec(NAME) or why_not():
+    if find_spec(name) or why_not(name):
         return
     wheels = Path(sysconfig.get_path("platlib")).glob("*.dist-info")
     versions = sorted(each.name for each in wheels if each.name.startswith(("ros_", "numpy-")))
-    known = (Path(__file__).read_text(), sys.version, sys.prefix, versions)
+    known = (name, Path(__file__).read_text(), sys.version, sys.prefix, versions)
     built = cache / hashlib.sha256(repr(known).encode()).hexdigest()[:16]
     if not built.is_dir():
         with TemporaryDirectory(dir=cache) as folder:
             done = subprocess.run(
-                [sys.executable, "-m", "harness.control_msgs", folder],
+                [sys.executable, "-m", "harness.interfaces", name, folder],
                 cwd=Path(__file__).parents[1],
                 env={**os.environ, "AMENT_PREFIX_PATH": sys.prefix},
                 stdout=subprocess.PIPE,
@@ -98,7 +127,7 @@ def provide(cache):
                 text=True,
                 check=False,
             )
-            assert done.returncode == 0, f"{NAME} cannot be built:\n{done.stdout}"
+            assert done.returncode == 0, f"{name} cannot be built:\n{done.stdout}"
             try:
                 Path(folder, "built").replace(built)
             except OSError:
@@ -109,10 +138,11 @@ def provide(cache):
     os.environ["PYTHONPATH"] = os.pathsep.join(each for each in paths if each)
 
 
-def _generate(folder, package, inspection):
+def _generate(name, folder, package, inspection):
     """Write the sources of the package; those of the inspection have names of others."""
     from rosidl_adapter.action import convert_action_to_idl
     from rosidl_adapter.msg import convert_msg_to_idl
+    from rosidl_adapter.srv import convert_srv_to_idl
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
     from rosidl_generator_type_description.cli import HashTypeDescription
@@ -122,30 +152,37 @@ def _generate(folder, package, inspection):
 
     include = [str(PREFIX / "share" / each) for each in USED]
     idl = []
-    for name, definition in DEFINITIONS.items():
-        kind = name.partition("/")[0]
-        file = folder / f"{name}.{kind}"
+    converters = {
+        "msg": convert_msg_to_idl,
+        "srv": convert_srv_to_idl,
+        "action": convert_action_to_idl,
+    }
+    for interface, definition in PACKAGES[name].items():
+        kind = interface.partition("/")[0]
+        file = folder / f"{interface}.{kind}"
         file.parent.mkdir(exist_ok=True)
         file.write_text(definition.replace("; ", "\n"))
-        convert = {"msg": convert_msg_to_idl, "action": convert_action_to_idl}[kind]
-        convert(folder, NAME, file.relative_to(folder), package / kind)
-        idl.append(f"{package}:{name}.idl")
-    hashed = HashTypeDescription("hash").generate_type_hashes(NAME, idl, include, package)
-    for name, expected in HASHES.items():
-        (found, *_) = json.loads((package / f"{name}.json").read_text())["type_hashes"]
+        converters[kind](folder, name, file.relative_to(folder), package / kind)
+        idl.append(f"{package}:{interface}.idl")
+    hashed = HashTypeDescription("hash").generate_type_hashes(name, idl, include, package)
+    for interface, expected in HASHES.items():
+        of, _, file = interface.partition("/")
+        if of != name:
+            continue
+        (found, *_) = json.loads((package / f"{file}.json").read_text())["type_hashes"]
         assert found["hash_string"] == f"RIHS01_{expected}", found
-    GenerateC("c").generate(NAME, idl, include, package, hashed)
+    GenerateC("c").generate(name, idl, include, package, hashed)
     for generator, output in (
         (GeneratePython("", typesupport_implementations=["rosidl_typesupport_c"]), package),
         (GenerateCTypesupport("", typesupport_implementations=[*TYPE_SUPPORTS]), package),
         (GenerateFastRTPSCTypesupport(""), package),
         (GenerateIntrospectionCTypesupport(""), inspection),
     ):
-        generator.generate(NAME, idl, include, output)
+        generator.generate(name, idl, include, output)
     (package / "__init__.py").touch()
 
 
-def _compile(folder, package, inspection):
+def _compile(name, folder, package, inspection):
     """Make a library of all sources; those that ROS looks for by other names are linked to it.
 
     ROS opens the library of a type support without a path: one that is loaded already is found,
@@ -161,21 +198,21 @@ def _compile(folder, package, inspection):
     compiled = (*(f"-I{each}" for each in (*include, *wheels.iterdir())), unit)
     sources = (*package.rglob("*.c"), *inspection.rglob("*.c"))
     libraries = (f"-L{PREFIX / 'lib'}", *(f"-l{each}" for each in LIBRARIES))
-    whole, other = (f"lib{NAME}__{each}.so" for each in TYPE_SUPPORTS)
-    for name, linked in (
+    whole, other = (f"lib{name}__{each}.so" for each in TYPE_SUPPORTS)
+    for library, linked in (
         (whole, (*compiled, *sources, *libraries)),
         (other, (whole,)),
-        (f"{NAME}_s__rosidl_typesupport_c.so", (whole, other)),
+        (f"{name}_s__rosidl_typesupport_c.so", (whole, other)),
     ):
-        options = ("-O0", "-w", "-fPIC", "-shared", f"-Wl,-soname,{name},--no-as-needed")
+        options = ("-O0", "-w", "-fPIC", "-shared", f"-Wl,-soname,{library},--no-as-needed")
         paths = f"-Wl,-rpath,$ORIGIN:{PREFIX / 'lib'}"
-        subprocess.run(["cc", *options, paths, "-o", name, *linked], cwd=package, check=True)
+        subprocess.run(["cc", *options, paths, "-o", library, *linked], cwd=package, check=True)
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1]).resolve()
-    folders = target / "built" / NAME, target / "inspection" / NAME
+    asked, target = sys.argv[1], Path(sys.argv[2]).resolve()
+    folders = target / "built" / asked, target / "inspection" / asked
     for each in folders:
         each.mkdir(parents=True)
-    _generate(target, *folders)
-    _compile(target, *folders)
+    _generate(asked, target, *folders)
+    _compile(asked, target, *folders)
