@@ -18,7 +18,7 @@ from hpid_bench.cli.options import DEFAULT_EXPERIMENT
 from hpid_bench.experiment.description import Experiment, load_experiment
 from hpid_bench.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 from hpid_ros.simulation.settings import installed_engines
 
 _HPID = (sys.executable, "-m", "hpid_bench.cli.main")

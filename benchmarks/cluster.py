@@ -27,7 +27,7 @@ from pathlib import Path
 from hpid_bench.experiment.batch import Runner, RunTask, run_batch
 from hpid_bench.experiment.cluster import Cluster, pack
 from hpid_bench.experiment.description import load_experiment
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 
 
 @contextmanager

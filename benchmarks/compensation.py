@@ -10,7 +10,7 @@ import pinocchio
 
 from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.measuring import time_per_item
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.joint_state import JointStateTemplate, RobotReader
 from hpid_ros.robot.compensation import compensators

@@ -23,15 +23,11 @@ import yaml
 from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
 from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.errors import HpidError
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.robot.amendments import amended
-from hpid_ros.robot.description import (
-    UNDRIVABLE_TYPES,
-    JointDescription,
-    RobotDescription,
-    listed,
-)
+from hpid_ros.robot.description import UNDRIVABLE_TYPES, RobotDescription, listed
 from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.simulation.settings import ENGINES
 
 AGREE = 0.01  # of a total

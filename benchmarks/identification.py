@@ -28,7 +28,7 @@ from hpid_bench.experiment.description import Experiment, following_loops, load_
 from hpid_bench.tuning.identify import JointIdentification, identify
 from hpid_bench.tuning.joint_record import JointRecord
 from hpid_bench.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.motion.excitation import Design, JointBounds, Wish, plan
 from hpid_ros.robot.amendments import JointAmendment, amended

@@ -29,8 +29,8 @@ from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.in_process import write_run_files
 from hpid_bench.experiment.processes import NodeGroup, closed_environment, own_domain
 from hpid_bench.live.graph_client import GraphClient
-from hpid_ros.base.files import share_folder
 from hpid_ros.base.names import controller_name
+from hpid_ros.base.resources import share_folder
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.process import end
 

@@ -23,7 +23,7 @@ from hpid_bench.experiment.batch import (
     simulated,
 )
 from hpid_bench.experiment.description import Experiment, load_experiment
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.control import LoopSettings
 from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.robot.description import RobotDescription

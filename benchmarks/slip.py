@@ -20,7 +20,7 @@ from hpid_bench.experiment.compare import compute
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.in_process import NoProgress, run_without_ros
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import find_resource, share_folder
+from hpid_ros.base.resources import find_resource, share_folder
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.metrics.task import BaseFigures
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 from hpid_bench.experiment.description import Experiment, load_experiment
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 
 
 def tracking(

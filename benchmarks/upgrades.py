@@ -36,12 +36,12 @@ from hpid_bench.tuning.upgrade_prediction import (
     verify,
 )
 from hpid_ros.base.errors import HpidError
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
-from hpid_ros.messages.storage import PARAMETERS
+from hpid_ros.messages.metadata import PARAMETERS
 from hpid_ros.messages.writer import BagWriter, TopicQos
 from hpid_ros.metrics.quantities import ITAE, IVC
 from hpid_ros.motion.generators import minimum_jerk, step

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from hpid_ros.base.files import find_resource, share_folder
 from hpid_ros.base.names import ALL_JOINTS, claim_topic, controller_name
+from hpid_ros.base.resources import find_resource, share_folder
 from hpid_ros.robot.description import RobotDescription
 
 _PARAMETERS = (

@@ -5,7 +5,7 @@ The wrist starts 0.3 rad away from its setpoint; everything else is held where i
 
 import math
 
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 from hpid_ros.control import Gains, JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import EncoderSettings, NormSettings

@@ -4,7 +4,7 @@ Waypoints become a quintic of least jerk. The same object, encoded, is the messa
 examples/ros/send_trajectory.py.
 """
 
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 from hpid_ros.control import Gains, JointLoop, LoopSettings
 from hpid_ros.motion import minimum_jerk
 from hpid_ros.simulation.engine import record_run

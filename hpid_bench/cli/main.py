@@ -13,7 +13,8 @@ from hpid_bench.cli.arguments import COMMANDS, Parser
 from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED, UNREAD
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, RunError
-from hpid_ros.base.processes import heed_interrupts, optional_libraries, require_ros
+from hpid_ros.base.libraries import optional_libraries, require_ros
+from hpid_ros.base.processes import heed_interrupts
 from hpid_ros.base.text import shown
 
 # Subcommands that share a module, with their functions; every other one is ``run`` of its own.

@@ -17,17 +17,19 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from hpid_bench.experiment.description import Experiment, load_experiment
 from hpid_bench.experiment.result_folder import system_errors
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, require_known
-from hpid_ros.base.files import find_resource, write_file
+from hpid_ros.base.files import write_file
 from hpid_ros.base.names import joint_of_controller
 from hpid_ros.base.records import Section, take_record
+from hpid_ros.base.resources import find_resource
 from hpid_ros.base.text import shown
 from hpid_ros.base.yaml_files import load_document, load_yaml
 from hpid_ros.control.controller_files import ParameterFile, parameters_from
 from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
 from hpid_ros.metrics.measure import sliding_joints as slides_of_bag
 from hpid_ros.robot.amendments import RobotSection
-from hpid_ros.robot.description import UNLIMITED, GivenRobot, RobotDescription
+from hpid_ros.robot.description import GivenRobot, RobotDescription
 from hpid_ros.robot.dynamics import inertia_ranges
+from hpid_ros.robot.joint_description import UNLIMITED
 from hpid_ros.robot.loop_settings import on_robot
 from hpid_ros.simulation.settings import ENGINES, require_engine
 from hpid_ros.stability.gain_check import Loop, inertia_of

@@ -17,7 +17,7 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.series import RunSeries, complete_run
 from hpid_ros.metrics.comparison import median_and_quartiles, ratio
 from hpid_ros.metrics.quantities import CHATTER, ERROR_MAX, OVERSHOOT, PAPER, Fold, Quantity
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.engine import record_run

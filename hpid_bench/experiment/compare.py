@@ -29,13 +29,14 @@ from hpid_ros.base.errors import ExperimentError, require_known
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import Numbers
 from hpid_ros.messages.messages import BagMessages
+from hpid_ros.messages.quality_lines import unfollowed_lines, unfollowed_mapping
 from hpid_ros.messages.reports import POSE
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import RunSeries, unfollowed_lines, unfollowed_mapping
+from hpid_ros.messages.series import RunSeries
 from hpid_ros.messages.storage import Storage
 from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.gain_signals import gain_notes, gains_of_runs
 from hpid_ros.metrics.measure import Measuring, measure
-from hpid_ros.metrics.quantities import gains_of_runs
 from hpid_ros.metrics.task import (
     BaseFigures,
     BrickFigures,
@@ -221,9 +222,13 @@ _TOPICS = (ODOM, TRUTH, SLIP, END_EFFECTOR, GRIP_EVENTS, BRICK_POSES)
 
 
 def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
-    how = Measuring(
-        BagSelection(joints=experiment.world.joints), description=experiment.description
+    loops = [loop for each in experiment.controllers.values() for loop in each]
+    selection = BagSelection(
+        joints=experiment.world.joints,
+        # What a law did to its gains depends on them, see save.
+        velocities=any(each.velocity.is_measured for each in loops),
     )
+    how = Measuring(selection, description=experiment.description)
     world, frame = experiment.world, _frame(experiment)
     measured, runs, base, end_effectors, bricks, paths = [], [], {}, {}, {}, []
     for label, path in bags.items():
@@ -291,7 +296,7 @@ def save(result: Result, folder: ResultFolder, how: str) -> None:
             result.runs,
             provenance,
             result.experiment.parameters(),
-            warnings=result.notes,
+            warnings=(*result.notes, *gain_notes(result.runs, settings)),
             gains=gains_of_runs(result.runs, settings),
             paths=result.paths,
         ),

@@ -17,9 +17,9 @@ from hpid_ros.base.errors import (
     TrajectoryError,
     unknown_name,
 )
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import require_label
 from hpid_ros.base.records import Section
+from hpid_ros.base.resources import find_resource
 from hpid_ros.base.schema import field_schema, partial_schema
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import EXTENDS, Document, load_document, parse_yaml
@@ -30,8 +30,9 @@ from hpid_ros.motion.bricks import BrickPlan
 from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.motion.references import planned_reference, task_schema
 from hpid_ros.robot.coupling import with_inertia
-from hpid_ros.robot.description import JointDescription, RobotDescription, robot_source, robot_xml
+from hpid_ros.robot.description import RobotDescription, robot_source, robot_xml
 from hpid_ros.robot.dynamics import Dynamics, wheel_inertias
+from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.simulation.settings import ENGINES, WorldSettings
 from hpid_ros.simulation.world_file import WORLD_SECTIONS, read_world, world_schema
 

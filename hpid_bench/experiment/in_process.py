@@ -24,7 +24,7 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
-from hpid_ros.messages.storage import PARAMETERS, slides_entry
+from hpid_ros.messages.metadata import PARAMETERS, slides_entry
 from hpid_ros.messages.writer import BagWriter, TopicQos
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.engine import Sample, run_in_process

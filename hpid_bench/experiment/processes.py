@@ -31,9 +31,9 @@ from typing import Any, ClassVar
 
 from hpid_bench.experiment.forking import Beginning, ForkedProcess, ForkServer
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.base.processes import uninterrupted
+from hpid_ros.base.resources import find_resource
 from hpid_ros.base.yaml_text import inline_yaml
 
 SHARED_MEMORY = Path("/dev/shm")

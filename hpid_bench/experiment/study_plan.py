@@ -14,8 +14,8 @@ from hpid_bench.experiment.batch import RunRecord, RunTask
 from hpid_bench.experiment.description import Experiment, load_experiment
 from hpid_bench.experiment.result_folder import system_errors, versions
 from hpid_ros.base.errors import ExperimentError, SettingError, require_known, unknown_name
-from hpid_ros.base.files import ResourceError, find_resource, share_folder
 from hpid_ros.base.records import Section
+from hpid_ros.base.resources import ResourceError, find_resource, share_folder
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.simulation.settings import require_engine
 

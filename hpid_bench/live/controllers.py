@@ -8,10 +8,11 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import RunError, SettingError
-from hpid_ros.base.files import ResourceError
+from hpid_ros.base.resources import ResourceError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
-from hpid_ros.robot.description import JointDescription, robot_limits
+from hpid_ros.robot.description import robot_limits
+from hpid_ros.robot.joint_description import JointDescription
 
 SILENT_AFTER = 3.0
 """Time without a word on ``/diagnostics`` in [s]; controllers report once a second."""

@@ -286,10 +286,10 @@ class Exciter(MovingNode):
             self._follower,
             ["joint_states"],
             references,
-            self._act,
-            lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0),
-            lambda line: log_change(self, line, is_warning=True),
-            lambda line: self.get_logger().error(line) if line else None,
+            act=self._act,
+            fault=lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0),
+            warn=lambda line: log_change(self, line, is_warning=True),
+            note_conflict=lambda line: self.get_logger().error(line) if line else None,
         )
         self._reason, self._ended = "", 0.0
         self._resting: Future | None = None

@@ -42,8 +42,8 @@ from hpid_bench.live.streams import ControllerTopics, Topic, Watching, controlle
 from hpid_ros.base.errors import HpidError, MessageError, RunError, unknown_name
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
+from hpid_ros.messages.reading.topic_choice import is_below
 from hpid_ros.messages.reports import decode_parameter_event
-from hpid_ros.messages.selection import is_below
 from hpid_ros.nodes.core.middleware import RARE, destroy_when_quiet, load_profile, steady_timer
 
 _TICK = 0.05  # [s]

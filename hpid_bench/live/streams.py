@@ -29,7 +29,7 @@ from hpid_ros.messages.joint_state import (
     decode_joint_state,
 )
 from hpid_ros.messages.reports import decode_numbers
-from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.executor import note_made
 from hpid_ros.nodes.core.rclpy_internals import taker
 
 
@@ -317,7 +317,7 @@ class Watching:
             start_parameter_services=False,
             enable_rosout=False,
         )
-        ClosingNode.made.append(self._node)  # for a process that ends without closing it
+        note_made(self._node)  # for a process that ends without closing it
         self._watched: dict[str, ControllerTopics] = {}
         self._samplers: dict[str, JointSampler] = {}
         self._clocks: dict[Topic, ControlClock] = {}

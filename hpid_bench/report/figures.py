@@ -16,16 +16,12 @@ from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.units import Numbers, of_slide, unit_over
 from hpid_ros.messages.series import JointSeries, RunSeries, seconds_since
 from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.gain_signals import Gains
 from hpid_ros.metrics.indices import amplitude_density
-from hpid_ros.metrics.quantities import (
-    EFFORT_L2,
-    ERROR_L2,
-    IAVC,
-    ITAE,
-    IVC,
-    Data,
-    Gains,
-    Quantity,
+from hpid_ros.metrics.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, Data, Quantity
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.metrics.run_numbers import DEFAULT_CUTOFF, l2_of_run
+from hpid_ros.metrics.signals import (
     Signal,
     effort_of,
     envelope,
@@ -35,7 +31,6 @@ from hpid_ros.metrics.quantities import (
     position_of,
     reference_of,
 )
-from hpid_ros.metrics.results import DEFAULT_CUTOFF, RunIndices, l2_of_run
 from hpid_ros.metrics.texts import heading_of
 
 if TYPE_CHECKING:

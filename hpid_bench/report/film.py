@@ -43,7 +43,7 @@ from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries, SeriesError, seconds_since
 from hpid_ros.metrics.measure import recordings_of
-from hpid_ros.metrics.quantities import Signal, error_of, norm_of_run, position_of, reference_of
+from hpid_ros.metrics.signals import Signal, error_of, norm_of_run, position_of, reference_of
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import integrated
 from hpid_ros.robot.kinematics import axis_rotations, link_poses

@@ -24,10 +24,12 @@ from markupsafe import Markup, escape
 
 from hpid_bench.report.figures import GRID, INK, REFERENCE, RUN_STYLES, Figure, Line, figures_of
 from hpid_ros.base.text import shown
-from hpid_ros.messages.series import QUALITY_COLUMNS, RunSeries, SeriesError, quality_rows
+from hpid_ros.messages.quality_lines import QUALITY_COLUMNS, quality_rows
+from hpid_ros.messages.series import RunSeries, SeriesError
 from hpid_ros.metrics.comparison import Comparison, Verdict, answer
+from hpid_ros.metrics.gain_signals import Gains
 from hpid_ros.metrics.measure import Parameters
-from hpid_ros.metrics.quantities import QUANTITIES, Gains, Quantity
+from hpid_ros.metrics.quantities import QUANTITIES, Quantity
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.metrics.texts import (
     MARKS,

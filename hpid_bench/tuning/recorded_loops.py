@@ -33,19 +33,21 @@ from hpid_ros.messages.columns import JOINT_STATE, TopicBatch
 from hpid_ros.messages.joint_state import EffortReader, JointReader, JointSample, RobotReader
 from hpid_ros.messages.joint_trajectory import decode_float64
 from hpid_ros.messages.messages import PARAMETER_EVENTS, parameter_events, read_event
-from hpid_ros.messages.reports import ParameterEvent, decode_numbers
-from hpid_ros.messages.selection import (
-    BagSelection,
+from hpid_ros.messages.metadata import PARAMETERS, recorded_slides
+from hpid_ros.messages.reading.recorded_run import decoded_trajectory
+from hpid_ros.messages.reading.topic_choice import (
     TopicChoice,
     choose_topics,
-    decoded_trajectory,
     is_below,
     joint_of,
     last_part,
     namespace_of,
 )
-from hpid_ros.messages.storage import PARAMETERS, Storage, recorded_slides
-from hpid_ros.robot.description import JointDescription, robot_limits
+from hpid_ros.messages.reports import ParameterEvent, decode_numbers
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.storage import Storage
+from hpid_ros.robot.description import robot_limits
+from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.robot.loop_settings import loop_settings
 from hpid_ros.robot.on_demand import loop_model
 
@@ -63,7 +65,7 @@ class Controller(NamedTuple):
     robot: str  # the robot's description: XML text or a path, empty for none
     allows_relay: bool  # whether it obeys ~/relay
 
-    def changed(self, values: Mapping[str, Value]) -> LoopSettings:
+    def changed(self, values: Mapping[str, object]) -> LoopSettings:
         """Return what it makes of its parameters after all that was set until then."""
         return loop_settings({**self.parameters, **values}, self.limits, self.robot)
 
@@ -157,14 +159,14 @@ class _Joint:
     motions: list[Instruction] = field(default_factory=list)
     commands: list[RecordedCommand] = field(default_factory=list)
     instructions: list[Instruction] = field(default_factory=list)
-    changes: list[tuple[int, dict[str, Value]]] = field(default_factory=list)
+    changes: list[tuple[int, dict[str, object]]] = field(default_factory=list)
     """Where in the log parameters of the loop were set, and to what."""
     permissions: list[tuple[int, bool]] = field(default_factory=list)
     """Where in the log ``allow_relay`` was set, and to what."""
 
     def retunes(self) -> Iterator[Instruction]:
         """Yield each change, with the settings that the controller made of all until then."""
-        values: dict[str, Value] = {}
+        values: dict[str, object] = {}
         for place, change in sorted(self.changes, key=lambda each: each[0]):
             values = {**values, **change}
             text = ", ".join(f"{name} = {value}" for name, value in change.items())

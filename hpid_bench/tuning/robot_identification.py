@@ -18,8 +18,9 @@ from hpid_bench.tuning.regression import INERTIA
 from hpid_ros.base.errors import BagError, SettingError, unknown_name
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.messages import BagMessages, odometry_topics
-from hpid_ros.messages.selection import is_below
-from hpid_ros.messages.series import MEASURED, JointSeries, RunSeries, seconds_since
+from hpid_ros.messages.quality import MEASURED
+from hpid_ros.messages.reading.topic_choice import is_below
+from hpid_ros.messages.series import JointSeries, RunSeries, seconds_since
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot
 from hpid_ros.robot.dynamics import Dynamics, InverseDynamics

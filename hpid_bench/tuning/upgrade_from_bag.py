@@ -61,12 +61,14 @@ from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError,
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.messages import measures_velocity, read_retunes, read_velocities
+from hpid_ros.messages.quality import NO_EFFORT
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import NO_EFFORT, JointSeries, RunSeries
+from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import INDICES, IVC, Quantity
-from hpid_ros.metrics.results import RunIndices, run_indices
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot
 from hpid_ros.robot.dynamics import inertia_ranges

@@ -7,7 +7,6 @@ can still catch it. Messages are one line: what came, what is allowed, which nam
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterable, Sequence
 
 from hpid_ros.base.text import LONGEST_NAME, bounded, name_text
@@ -109,6 +108,8 @@ def nearest_name(name: str, known: Iterable[str]) -> str:
     names = sorted(known)
     if len(name) > LONGEST_NAME or len(names) > _COMPARED_NAMES:
         return ""
+    import difflib  # only a wrong name needs it
+
     nearest = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return nearest[0] if nearest else ""
 

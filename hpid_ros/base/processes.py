@@ -1,4 +1,4 @@
-"""Interrupts, optional libraries, and work on other processes of this machine (joblib's loky).
+"""Interrupts, and work on other processes of this machine (joblib's loky).
 
 They are new interpreters, no forks: a fork of a process that has threads, of a library or of the
 middleware, inherits locks as they stand, and may wait for one for ever.
@@ -6,10 +6,6 @@ middleware, inherits locks as they stand, and may wait for one for ever.
 Python raises ``KeyboardInterrupt`` wherever it happens to be, and swallows it in places that
 cannot raise, for instance between a fork and what follows it. What takes long therefore asks
 here as well.
-
-Of the robot's side rosdep knows Pinocchio alone; what the bench needs beyond it rosdep knows, too.
-Whoever imports one does so where it is needed; the shells put :func:`optional_libraries` around
-that.
 """
 
 from __future__ import annotations
@@ -20,11 +16,10 @@ import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.util import find_spec
 from types import FrameType
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
-from hpid_ros.base.errors import LibraryError, RunError
+from hpid_ros.base.errors import RunError
 
 _is_requested = False
 _postponed = 0
@@ -65,62 +60,6 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
         is_first and not _postponed
     ):  # a second one must not disturb the cleaning up after the first
         raise KeyboardInterrupt
-
-
-class Library(NamedTuple):
-    """A library that is optional at run time."""
-
-    purpose: str  # what cannot be done without it
-    package: str  # what pip calls it
-
-
-OPTIONAL = {
-    "pinocchio": Library("a model of the whole robot", "pin"),
-    "mujoco": Library("the simulated robot in MuJoCo", "mujoco"),
-    "pybullet": Library("the simulated robot in PyBullet", "pybullet"),
-    "rosbags": Library(
-        "writing bags, and reading those of ROS 1 and reports of a simulated robot", "rosbags"
-    ),
-    "mcap": Library("writing bags", "mcap"),
-    # What the live page is made of comes with the first of them.
-    **dict.fromkeys(
-        ("nicegui", "fastapi", "starlette", "uvicorn"),
-        Library("the live page", "'hpid_ros[live]'"),
-    ),
-    **dict.fromkeys(
-        ("rich", "matplotlib", "jinja2", "PIL", "argcomplete"),
-        Library("this command of the bench", "'hpid_ros[bench]'"),
-    ),
-    "joblib": Library("more than one process at a time (--jobs 1 needs none)", "joblib"),
-    "rclpy": Library("a running graph", "'hpid_ros[ros]'"),
-    "distributed": Library("a batch on a Dask cluster", "distributed"),
-    "lz4": Library("reading bags compressed with lz4", "lz4"),
-    "backports": Library("reading bags compressed with zstd", "backports.zstd"),
-}
-"""By the name that is imported."""
-
-
-@contextmanager
-def optional_libraries() -> Iterator[None]:
-    """Name a library that is missing, and what needs it."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        name = (error.name or "").partition(".")[0]
-        if name not in OPTIONAL:
-            raise
-        purpose, package = OPTIONAL[name]
-        raise LibraryError(
-            f"{purpose} needs {name}, which is not installed: pip install {package} (into a venv "
-            "with --system-site-packages where the system's Python is externally managed)"
-        ) from error
-
-
-def require_ros(what: str) -> None:
-    if find_spec("rclpy") is None:
-        raise LibraryError(
-            f"{what} needs ROS 2 (rclpy): source its setup file, or pip install 'hpid_ros[ros]'"
-        )
 
 
 Task = TypeVar("Task")

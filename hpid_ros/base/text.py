@@ -7,7 +7,6 @@ of a spreadsheet's formula. Each way out of the package goes through one functio
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Iterable, Sequence
 
@@ -97,6 +96,8 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
     Texts that begin as formulas (``= + - @``) get an apostrophe in front, which spreadsheets take
     as "this is text". Numbers stay numbers, whatever their sign.
     """
+    import csv  # of what processes import it, few write tables
+
     text = io.StringIO()
     write = csv.writer(text, lineterminator="\n").writerow
     for row in rows:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from hpid_ros.base.errors import HpidError, unknown_name
-from hpid_ros.base.files import is_file, read_text, share_folder
+from hpid_ros.base.resources import is_file, read_text, share_folder
 from hpid_ros.base.yaml_text import dump_yaml
 
 EXTENDS = "extends"

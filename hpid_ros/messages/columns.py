@@ -26,7 +26,7 @@ from hpid_ros.messages.joint_state import (
     Words,
     joint_state_layout,
 )
-from hpid_ros.messages.series import StampQuality
+from hpid_ros.messages.quality import StampQuality
 from hpid_ros.messages.spill import Kept, Spill
 
 Bytes = NDArray[np.uint8]
@@ -502,6 +502,7 @@ class _Group:
 _INTERFACES = frozenset({"position", "velocity", "acceleration", "effort"})
 _INTERFACE_OF = {
     **dict.fromkeys(("position", "reference", "feedback"), "position"),
+    "velocity": "velocity",
     "effort": "effort",
 }
 _MOST_NAMES = 5

@@ -20,6 +20,7 @@ from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.settings import LOOP_PARAMETERS
 from hpid_ros.messages.columns import JOINT_STATE
 from hpid_ros.messages.joint_state import JointReader, JointSample
+from hpid_ros.messages.reading.topic_choice import choose_topics, find_topic, matching
 from hpid_ros.messages.reports import (
     ODOMETRY,
     POSES,
@@ -30,7 +31,7 @@ from hpid_ros.messages.reports import (
     decode_parameter_event,
     decode_text,
 )
-from hpid_ros.messages.selection import BagSelection, choose_topics, find_topic, matching
+from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import Retune
 from hpid_ros.messages.storage import Storage, opened
 from hpid_ros.messages.writer import jazzy_types

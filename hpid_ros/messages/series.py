@@ -1,4 +1,4 @@
-"""A run as arrays, and how complete it is.
+"""A run as arrays.
 
 Stamps are the integer nanoseconds of the states' headers, so a run that was slow on the wall clock
 is the same run; times of arrival only where clock ``receive`` is asked for, or efforts have none.
@@ -15,127 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpid_ros.base.errors import HpidError
-from hpid_ros.base.text import shown
 from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.messages.quality import RecordingQuality
 from hpid_ros.messages.spill import Kept, Spill, Stored
-
-HOLD = "hold"
-"""As a reference: the joint's first position, because it was asked for."""
-GIVEN = "given"
-"""As a reference: a trajectory that is not in the recording."""
-MEASURED = "measured"
-"""First word of the source of efforts that nobody commanded."""
-NONE = "none"
-"""There is no reference, or there are no efforts."""
-HELD = "the first position, held as asked for"
-NO_REFERENCE = "no reference was recorded"
-NO_EFFORT = "no effort was recorded"
-
-
-@dataclass(frozen=True)
-class StampQuality:
-    """One stream of samples of one joint, its states or its commands.
-
-    The period is the median time between two stamps. An interval longer than 1.5 periods is a
-    gap. Repeats and samples that are out of order are counted in the order of the recording.
-    """
-
-    count: int = 0  # samples that are used
-    period: float = 0.0  # [s] median time between two of them; zero for fewer than two
-    begin: float = 0.0  # [s] first stamp, in seconds since the first state of any joint
-    end: float = 0.0  # [s] last stamp, likewise
-    gaps: int = 0  # intervals longer than 1.5 periods
-    lost: int = 0  # samples that would fill the gaps, no more than the whole time has room for
-    longest_gap: float = 0.0  # [s] the longest; zero if there is none
-    # [s] when it begins, in seconds since the first state of any joint
-    longest_gap_at: float = 0.0
-    repeated: int = 0  # samples whose stamp was there already; of several the last stands
-    out_of_order: int = 0  # samples with an earlier stamp than the sample recorded before
-    # samples that were left out, their number being NaN, infinite or beyond 1e50
-    not_finite: int = 0
-
-
-@dataclass(frozen=True)
-class DataQuality:
-    """What one joint's series was made of."""
-
-    states: StampQuality = field(default_factory=StampQuality)
-    commands: StampQuality = field(default_factory=StampQuality)
-    state_clock: str = "header"  # "header" or "receive": whose time the states have
-    command_clock: str = "header"  # likewise of the commands
-    answers_states: bool = True
-    # kind and topic of the reference, for instance "trajectory /joint_trajectory"
-    reference: str = NONE
-    references: int = 0  # number of reference messages that concern the joint
-    # [s] when the joint came under its reference, in seconds since the first state of any joint
-    reference_from: float | None = None
-    # [s] first and last state of each stretch with a reference, since the first state of any joint
-    reference_spans: tuple[tuple[float, ...], ...] = ()
-    effort: str = NONE  # topic of the efforts, "measured" and the topic of the states, or "none"
-    no_effort: str = ""  # why there is none; empty if there is
-
-    @property
-    def has_common_time(self) -> bool:
-        """Whether states and commands, if there are both, share some time."""
-        states, commands = self.states, self.commands
-        if not (states.count and commands.count):
-            return True
-        return states.begin <= commands.end and commands.begin <= states.end
-
-    @property
-    def without_reference(self) -> float:
-        """Share of the states' time for which there is no reference, of a joint that has one."""
-        time = self.states.end - self.states.begin
-        if not self.reference_spans or time <= 0.0:
-            return 0.0
-        return 1.0 - sum(end - begin for begin, end in self.reference_spans) / time
-
-    @property
-    def held_before(self) -> float:
-        """Time before the first trajectory or setpoint in which the first position counts."""
-        if self.reference_from is None or not self.reference_spans:
-            return 0.0
-        return max(self.reference_from - self.reference_spans[0][0], 0.0)
-
-    @property
-    def uncovered(self) -> float:
-        """Share of the states' time before the first and after the last command."""
-        states, commands = self.states, self.commands
-        if not (states.end > states.begin and commands.count and self.has_common_time):
-            return 0.0
-        late = max(commands.begin - states.begin, 0.0) + max(states.end - commands.end, 0.0)
-        return late / (states.end - states.begin)
-
-
-@dataclass(frozen=True)
-class RecordingQuality:
-    """What a whole recording was made of."""
-
-    source: str = ""  # path of the bag
-    joints: Mapping[str, DataQuality] = field(default_factory=dict)
-    unreadable: tuple[str, ...] = ()  # one line for each part of the files that could not be read
-    notes: tuple[str, ...] = ()  # one line for each thing that was assumed or left out on purpose
-    missed: Mapping[str, int] = field(default_factory=dict)
-    stood_still: float = 0.0  # [s] how long the recorder itself stood still
-
-    @property
-    def missing_lines(self) -> tuple[str, ...]:
-        """One line for each thing that is known to be missing."""
-        missed = [
-            f"the recorder missed {count} messages on {topic}"
-            for topic, count in self.missed.items()
-        ]
-        if self.stood_still:
-            missed.append(
-                f"the recorder stood still for {self.stood_still:.1f} s: more messages of that "
-                "time may be missing than were counted"
-            )
-        return (*self.unreadable, *missed)
-
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """One line for each thing that concerns more than one joint."""
-        return (*self.missing_lines, *self.notes)
 
 
 class SeriesError(HpidError, ValueError):
@@ -158,6 +40,8 @@ class JointSeries:
         is_slide: Whether the joint is known to slide: "rad" reads "m" then, and "N m" reads "N".
         known: At which states there is a reference, (N,); None at all of them. Elsewhere the
             reference says nothing.
+        velocity: Velocity that each state reports, (N,), in [rad/s], NaN where it reports none;
+            None where velocities were not read.
 
     Raises:
         SeriesError: If a length differs, a value is not finite, or stamps do not increase.
@@ -171,6 +55,7 @@ class JointSeries:
     effort: Numbers
     is_slide: bool = False
     known: NDArray[np.bool_] | None = None
+    velocity: Numbers | None = None
 
     def __post_init__(self) -> None:
         if not self.joint:
@@ -190,6 +75,13 @@ class JointSeries:
                     f"joint {self.joint!r}: known has shape {known.shape}, but the states have "
                     f"({states.size},)"
                 )
+        if self.velocity is not None:
+            velocity = self._store("velocity", _own(self.velocity, np.float64))
+            if velocity.shape != (states.size,):
+                raise SeriesError(
+                    f"joint {self.joint!r}: velocity has shape {velocity.shape}, but the states "
+                    f"have ({states.size},)"
+                )
 
     @property
     def has_reference(self) -> bool:
@@ -204,14 +96,14 @@ class JointSeries:
     @cached_property
     def time(self) -> Numbers:
         """Time of each state since the first state, (N,), in [s]."""
-        return _read_only(seconds_since(self.state_stamps_ns, int(self.state_stamps_ns[0])))
+        return read_only(seconds_since(self.state_stamps_ns, int(self.state_stamps_ns[0])))
 
     @cached_property
     def command_time(self) -> Numbers:
         """Time of the state that each command answers since the first state, (M,), in [s]."""
         if self.command_stamps_ns is self.state_stamps_ns:
             return self.time
-        return _read_only(seconds_since(self.command_stamps_ns, int(self.state_stamps_ns[0])))
+        return read_only(seconds_since(self.command_stamps_ns, int(self.state_stamps_ns[0])))
 
     @property
     def error(self) -> Numbers:
@@ -248,7 +140,7 @@ class JointSeries:
             yield JointSeries(self.joint, *arrays, *commands, is_slide=self.is_slide)
 
     def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
-        object.__setattr__(self, name, _read_only(values))
+        object.__setattr__(self, name, read_only(values))
         return values
 
     def _stamps(self, name: str) -> NDArray[np.int64]:
@@ -306,7 +198,10 @@ def outline(series: JointSeries) -> JointOutline:
     )
 
 
-_ARRAYS = ("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort", "known")
+_ARRAYS = (
+    *("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort"),
+    *("known", "velocity"),
+)
 
 
 class KeptJoints(Sequence[JointSeries]):
@@ -387,14 +282,14 @@ class KeptJoints(Sequence[JointSeries]):
         if kept is None:
             return None
         if not name.endswith("stamps_ns"):
-            return _read_only(self._spill.array(kept))
+            return read_only(self._spill.array(kept))
         seen = [array for array, where in self._seen.values() if where is kept]
-        array = seen[0] if seen else _read_only(self._spill.array(kept))
+        array = seen[0] if seen else read_only(self._spill.array(kept))
         self._seen[name] = array, kept
         return array
 
 
-def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+def read_only(values: NDArray[Any]) -> NDArray[Any]:
     values.setflags(write=False)
     return values
 
@@ -579,178 +474,3 @@ def complete_run(
             for k, joint in enumerate(joints)
         ),
     )
-
-
-SMALL_ERROR = 0.05  # an error below this is small for any joint, in [rad]
-SHARE_OF_RANGE = 0.1  # so is one below this share of the reference's range
-_SELDOM = 0.1  # a joint follows if its error is small for at least this share of its motion
-_MUCH = 0.05  # of the states' time
-_MOVED = 0.05  # a joint whose position ranges over more than this has moved, in [rad]
-
-
-def unfollowed(run: RunSeries) -> dict[str, float]:
-    """Return the joints whose error was small hardly ever, from where the reference moved on."""
-    found = {}
-    for series in run.joints:
-        usual_least = _usual_least(series)
-        if usual_least is not None:
-            found[series.joint] = usual_least
-    return found
-
-
-def _usual_least(series: JointSeries) -> float | None:
-    """Return the error that a joint hardly ever falls below; None if it follows its reference."""
-    if not series.has_reference:
-        return None
-    moved = np.flatnonzero(series.reference != series.reference[0])
-    error, known = np.abs(series.error), series.known
-    if known is None:
-        known = np.ones(error.size, dtype=np.bool_)
-    if moved.size and known[moved[0] :].any():
-        error, known = error[moved[0] :], known[moved[0] :]
-    usual_least = float(np.quantile(error[known], _SELDOM))
-    reference = series.reference if series.known is None else series.reference[series.known]
-    reference_range = float(np.ptp(reference))
-    follows = usual_least <= max(SMALL_ERROR, SHARE_OF_RANGE * reference_range)
-    return None if follows else usual_least
-
-
-def unfollowed_lines(runs: Sequence[RunSeries]) -> Iterator[str]:
-    """Yield a line for each run with joints that did not follow."""
-    for run in runs:
-        yield from _unfollowed_line(run, unfollowed(run))
-
-
-def _unfollowed_line(run: RunSeries, joints: Mapping[str, float]) -> Iterator[str]:
-    if joints:
-        listed = ", ".join(
-            f"{joint} ({error:.3g} {'m' if joint in run.slides else 'rad'})"
-            for joint, error in joints.items()
-        )
-        yield (
-            f"run {run.label!r}: these joints do not follow their reference, and their ratios "
-            f"say nothing of the controller: {listed}; in brackets the error that they exceed "
-            f"{1 - _SELDOM:.0%} of the time"
-        )
-
-
-def unfollowed_mapping(runs: Sequence[RunSeries]) -> Mapping[str, Mapping[str, float]]:
-    """Return :func:`unfollowed` by label, of the runs that have such joints."""
-    found = {run.label: unfollowed(run) for run in runs}
-    return {label: joints for label, joints in found.items() if joints}
-
-
-QUALITY_COLUMNS = (
-    *("joint", "stream", "clock", "samples", "rate [Hz]", "from [s]", "to [s]"),
-    *("lost", "gaps", "longest gap [ms]", "at [s]", "repeated", "out of order", "not finite"),
-)
-
-
-def quality_lines(run: RunSeries) -> Iterator[str]:
-    """Yield one line for each thing about a recording that its numbers must be read with."""
-    for line in _lines(run):
-        yield shown(line)
-
-
-def _lines(run: RunSeries) -> Iterator[str]:
-    joints = run.quality.joints
-    for line in run.quality.lines:
-        yield f"run {run.label!r}: {line}"
-    for stream in ("states", "commands"):
-        qualities = {name: getattr(quality, stream) for name, quality in joints.items()}
-        parts = [f"{name}: {_defects(each)}" for name, each in qualities.items() if _defects(each)]
-        if parts:
-            listed = "; ".join(parts[:3]) + (f"; {len(parts) - 3} more" if len(parts) > 3 else "")
-            yield f"run {run.label!r}: {stream} are not complete: {listed}"
-    alone = [name for name, each in joints.items() if each.states.count == 1]
-    if alone:
-        names = ", ".join(alone)
-        yield f"run {run.label!r}: a single state of {names}: integrals over no time are 0"
-    received = [
-        stream
-        for stream in ("state", "command")
-        if any(getattr(each, f"{stream}_clock") == "receive" for each in joints.values())
-    ]
-    if received:
-        streams = " and ".join(f"{stream}s" for stream in received)
-        yield f"run {run.label!r}: {streams} have their receive time, not a stamp of their own"
-    partly = [name for name, each in joints.items() if each.uncovered > _MUCH]
-    if partly:
-        yield (
-            f"run {run.label!r}: the efforts of {', '.join(partly)} begin after the states or end "
-            f"before them, by more than {_MUCH:.0%} of the time: their numbers are of the rest"
-        )
-    for line in _without_reference(joints):
-        yield f"run {run.label!r}: {line}"
-    idle, errors = [], {}
-    for series in run.joints:
-        if series.effort.size and not series.effort.any() and np.ptp(series.position) > _MOVED:
-            idle.append(series.joint)
-        usual_least = _usual_least(series)
-        if usual_least is not None:
-            errors[series.joint] = usual_least
-    if idle:
-        yield (
-            f"run {run.label!r}: every effort of {', '.join(idle)} is 0, and the joint moved: "
-            "nobody commanded it, or its driver fills in what it does not measure"
-        )
-    yield from _unfollowed_line(run, errors)
-
-
-def _span_text(begin: float, end: float) -> str:
-    return f"{begin:.3f} s to {end:.3f} s"
-
-
-def _without_reference(joints: Mapping[str, DataQuality]) -> Iterator[str]:
-    """Yield a line for each way in which references do not cover the states."""
-    found: dict[str, list[str]] = {}
-    held: dict[str, list[str]] = {}
-    for name, each in joints.items():
-        if each.held_before > _MUCH * (each.states.end - each.states.begin):
-            held.setdefault(f"{each.reference_from:.3f} s", []).append(name)
-        if each.without_reference > _MUCH:
-            spans = ", ".join(_span_text(*span) for span in each.reference_spans)
-            text = f"{spans}, and the states from {_span_text(each.states.begin, each.states.end)}"
-            found.setdefault(text, []).append(name)
-    for text, names in held.items():
-        yield (
-            f"the reference of {', '.join(names)} begins at {text}: before it the first position "
-            "counts, at which the joint rested"
-        )
-    for text, names in found.items():
-        yield (
-            f"the reference of {', '.join(names)} is known from {text}: the numbers of the error "
-            "are of this time"
-        )
-
-
-def quality_rows(joint: str, quality: DataQuality) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of a joint's states and commands, see :data:`QUALITY_COLUMNS`."""
-    streams = (
-        ("states", quality.states, quality.state_clock),
-        ("commands", quality.commands, quality.command_clock),
-    )
-    for name, each, clock in streams:
-        yield (
-            *(joint, name, clock, each.count),
-            f"{1.0 / each.period:.4g}" if each.period else "–",
-            *(f"{each.begin:.3f}", f"{each.end:.3f}", each.lost, each.gaps),
-            f"{1e3 * each.longest_gap:.3f}" if each.gaps else "–",
-            f"{each.longest_gap_at:.3f}" if each.gaps else "–",
-            *(each.repeated, each.out_of_order, each.not_finite),
-        )
-
-
-def _defects(quality: StampQuality) -> str:
-    counts = {
-        "lost": quality.lost,
-        "repeated": quality.repeated,
-        "out of order": quality.out_of_order,
-        "not finite": quality.not_finite,
-    }
-    parts = [f"{count} {name}" for name, count in counts.items() if count]
-    if quality.gaps:
-        parts.append(
-            f"longest gap {1e3 * quality.longest_gap:.3g} ms at {quality.longest_gap_at:.3f} s"
-        )
-    return ", ".join(parts)

@@ -15,7 +15,8 @@ from hpid_ros.metrics.measure import (
     measure_all,
     summary,
 )
-from hpid_ros.metrics.results import RunIndices, joint_indices, run_indices
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.metrics.run_numbers import joint_indices, run_indices
 
 __all__ = [
     "Comparison",

@@ -15,16 +15,9 @@ from functools import cached_property
 
 from hpid_ros.base.errors import unknown_name
 from hpid_ros.messages.series import SeriesError
+from hpid_ros.metrics.conditions import EVERYTHING, NOTHING, Difference, differences
 from hpid_ros.metrics.quantities import INDICES, NORMS, PAPER, QUANTITIES, Data, Quantity
-from hpid_ros.metrics.results import (
-    EVERYTHING,
-    NOTHING,
-    Difference,
-    RunIndices,
-    Spread,
-    differences,
-    for_json,
-)
+from hpid_ros.metrics.results import RunIndices, Spread, for_json
 
 
 def mismatches(runs: Sequence[RunIndices]) -> list[str]:

@@ -23,27 +23,19 @@ from hpid_ros.base.files import load_json
 from hpid_ros.base.names import is_label
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.messages import read_retunes, read_robot_descriptions
+from hpid_ros.messages.metadata import custom_data, recorded_slides
+from hpid_ros.messages.quality_lines import quality_lines
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import RunSeries, quality_lines
-from hpid_ros.messages.storage import Storage, bags_in, custom_data, opened, recorded_slides
+from hpid_ros.messages.series import RunSeries
+from hpid_ros.messages.storage import Storage, bags_in, opened
 from hpid_ros.metrics.alignment import ALIGNMENTS, Cut, RunWindow, cuts_of, window_cuts
 from hpid_ros.metrics.comparison import Comparison, fold_repeats, mismatches
-from hpid_ros.metrics.quantities import (
-    INDICES,
-    NORMS,
-    Data,
-    Gains,
-    find_quantities,
-    gains_of_runs,
-)
-from hpid_ros.metrics.results import (
-    DEFAULT_CUTOFF,
-    RunIndices,
-    in_units,
-    run_indices,
-    runs_from_mapping,
-)
+from hpid_ros.metrics.gain_signals import Gains, Loops, gain_notes, gains_of_runs
+from hpid_ros.metrics.quantities import INDICES, NORMS, Data, find_quantities
+from hpid_ros.metrics.results import RunIndices, in_units
+from hpid_ros.metrics.run_numbers import DEFAULT_CUTOFF, run_indices
+from hpid_ros.metrics.saved_results import runs_from_mapping
 from hpid_ros.robot.description import RobotDescription
 
 if TYPE_CHECKING:
@@ -141,8 +133,10 @@ def measure(
     Raises:
         HpidError: It cannot be read.
     """
-    is_open = isinstance(bag, Storage)
-    named = Source(bag.path, label, bag) if is_open else Source(Path(bag), label)
+    if isinstance(bag, Storage):
+        named = Source(bag.path, label, bag)
+    else:
+        named = Source(Path(bag), label)
     (source,) = labelled([named])
     (found,) = _measured([source], how or Measuring(), tell or (lambda what, share: None), ())
     return found
@@ -204,14 +198,20 @@ class Summary:
 
     def gains(self) -> Gains:
         """Return what the laws did to their gains, of each run whose parameters are known."""
-        settings = {
+        return gains_of_runs(self.series, self._loops())
+
+    def gain_notes(self) -> list[str]:
+        """Return what :meth:`gains` must be read with, one line each."""
+        return gain_notes(self.series, self._loops())
+
+    def _loops(self) -> Loops:
+        return {
             run.label: {
                 joint: LoopSettings.from_parameters(each)
                 for joint, each in self.parameters.get(run.label, {}).items()
             }
             for run in self.series
         }
-        return gains_of_runs(self.series, settings)
 
 
 def compare(
@@ -425,10 +425,15 @@ def _of_bag(
     selection = how.selection
     if cut is not None:
         selection = replace(selection, start=cut.start, end=cut.end)
+    parameters = saved_parameters(source.path)
     robot = how.description or (how.robot.description if how.robot else None)
     with opened(source.storage or source.path) as bag:
         known = sliding_joints(bag, robot, selection.namespace)
-        selection = replace(selection, kinds={**known.kinds, **selection.kinds})
+        selection = replace(
+            selection,
+            kinds={**known.kinds, **selection.kinds},
+            velocities=selection.velocities or (how.keeps_series and _use_velocities(parameters)),
+        )
         series = read_run(
             bag, str(source.label), selection=selection, progress=lambda each: told(0.7 * each)
         )
@@ -442,7 +447,6 @@ def _of_bag(
     if cut is not None:
         numbers = replace(numbers, cut=cut.text, shift=cut.shift)
     hand, unfollowed = _end_effector(how.robot, series)
-    parameters = saved_parameters(source.path)
     mislabelled = _mislabelled(str(source.label), parameters)
     return Measured(
         (numbers,),
@@ -453,6 +457,11 @@ def _of_bag(
         None if hand is None else hand.figures(),
         None if hand is None else hand.path(_PATH_POINTS),
     )
+
+
+def _use_velocities(parameters: Mapping[str, Mapping[str, object]]) -> bool:
+    """Return whether what became of a law's gains depends on the velocities of the states."""
+    return any(each.get("velocity_source") == "measured" for each in parameters.values())
 
 
 def _mislabelled(label: str, parameters: Mapping[str, Mapping[str, object]]) -> Iterator[str]:

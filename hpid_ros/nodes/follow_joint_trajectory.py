@@ -153,10 +153,10 @@ class JointTrajectoryController(executor.ClosingNode):
             self._follower,
             topics,
             {joint: f"{controller_name(joint)}/reference" for joint in joints},
-            self._act,
-            self._health.fault,
-            self._health.warn,
-            self._note_conflict,
+            act=self._act,
+            fault=self._health.fault,
+            warn=self._health.warn,
+            note_conflict=self._note_conflict,
         )
         self._server = GoalServer(
             self, self._begin, lambda: self._act(self._follower.cancel()), self._health.note

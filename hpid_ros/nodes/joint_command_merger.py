@@ -291,7 +291,7 @@ class JointCommandMerger(ManagedNode):
             f"{parameters.controller}/commands" if parameters.controller else "",
             sender_of(self, is_claiming),
             bool(parameters.controller),
-            lambda: self._watch.look(),
+            self._look_at_receiver,
         )
         topic = self._output.publisher.topic_name
         self._receiver = Receiver(parameters.controller, parameters.joints, topic)
@@ -318,6 +318,10 @@ class JointCommandMerger(ManagedNode):
         steady_timer(self, 1.0, self._report)
         self.start()
         self._scheduling = schedule(self)
+
+    def _look_at_receiver(self) -> None:
+        """See whose the subscriptions of the commands are: one has come, or gone."""
+        self._watch.look()
 
     def begin(self) -> None:
         self._stop_repeating()

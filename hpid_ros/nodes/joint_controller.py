@@ -10,6 +10,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.task import Future
@@ -149,9 +150,7 @@ class JointController(ManagedNode):
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
         self._timing = LoopTiming()
-        self._supervised = SupervisedLoop(
-            self._loop, self._timed_out, lambda: self._stopping.end()
-        )
+        self._supervised = SupervisedLoop(self._loop, self._timed_out, self._end_stop)
         self._watchdog = self._supervised.watchdog
         self._watchdog_timer: Any = None
         self._has_watchdog = asked.state_watchdog
@@ -177,9 +176,7 @@ class JointController(ManagedNode):
         self._standstill = ""  # what is said of stamps that stand still
         self._begun_at: float | None = None  # when the first state came since the activation
         steady_timer(self, self._health.period, self._report)
-        self.add_on_set_parameters_callback(
-            lambda changes: self._tuning.verdict(changes, self._certification.require)
-        )
+        self.add_on_set_parameters_callback(self._verdict)
         self.add_post_set_parameters_callback(self._retune)
         self.start()
         self._health.scheduling = schedule(self)
@@ -199,6 +196,10 @@ class JointController(ManagedNode):
             self._health.refused_reference,
             lambda: "" if self.is_active or self._needs_reference else _INACTIVE,
         )
+
+    def _end_stop(self) -> None:
+        """Cut a damping stop short: the loop has the joint again."""
+        self._stopping.end()
 
     def dispose(self) -> None:
         """Undo :meth:`prepare`; a damping ramp goes on to its end."""
@@ -460,6 +461,9 @@ class JointController(ManagedNode):
         self._loop.begin_relay(request)
         self._health.relay_begins(request)
         self._report()
+
+    def _verdict(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        return self._tuning.verdict(changes, self._certification.require)
 
     def _retune(self, changes: Sequence[Parameter]) -> None:
         if any(each.name == ALLOW_RELAY and not each.value for each in changes):

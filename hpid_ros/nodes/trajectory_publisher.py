@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.errors import MessageError, SettingError, TrajectoryError
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.records import Record, names_of, quantity
+from hpid_ros.base.resources import find_resource
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.messages.joint_state import decode_joint_state
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory

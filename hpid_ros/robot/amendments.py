@@ -18,19 +18,19 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.base.files import package_uri
 from hpid_ros.base.records import Record, quantity
+from hpid_ros.base.resources import package_uri
 from hpid_ros.base.units import of_slide
 from hpid_ros.robot import mending
 from hpid_ros.robot.description import (
     DRAKE_NAMESPACE,
     UNDRIVABLE_TYPES,
-    JointDescription,
     RobotDescription,
     find_mesh,
     mesh_places,
 )
 from hpid_ros.robot.differential_drive import DifferentialDrive
+from hpid_ros.robot.joint_description import JointDescription
 
 
 def hold(element: ElementTree.Element, joint: JointDescription, position: float) -> None:

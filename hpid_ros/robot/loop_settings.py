@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.robot.description import JointDescription
+from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.robot.on_demand import with_inertia
 
 

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.robot.description import RobotDescription
 
 if TYPE_CHECKING:
     from hpid_ros.robot.compensation import LoopModel
+    from hpid_ros.robot.description import RobotDescription
     from hpid_ros.robot.kinematics import Kinematics
 
 

@@ -33,13 +33,8 @@ from xml.etree import ElementTree
 
 from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.base.units import Vector
-from hpid_ros.robot.description import (
-    PAYLOAD_EDGE,
-    JointDescription,
-    RobotDescription,
-    end_of,
-    find_mesh,
-)
+from hpid_ros.robot.description import PAYLOAD_EDGE, RobotDescription, end_of, find_mesh
+from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.simulation.physics import (
     GROUND_FRICTION,
     NEGLIGIBLE_INERTIA,

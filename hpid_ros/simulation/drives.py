@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.robot.description import JointDescription
+from hpid_ros.robot.joint_description import JointDescription
 
 LARGEST_BITS = 32
 

@@ -23,13 +23,13 @@ from hpid_ros.base.errors import HpidError, RobotDescriptionError, RunError
 from hpid_ros.base.units import Numbers, Vector
 from hpid_ros.robot.description import (
     PAYLOAD_EDGE,
-    JointDescription,
     RobotDescription,
     end_of,
     find_mesh,
     numbers_of,
     origin_of,
 )
+from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.simulation.physics import (
     GROUND_FRICTION,
     NEGLIGIBLE_INERTIA,

@@ -234,6 +234,7 @@ class Reports:
         link: str,
         rate: float,
         end_ns: int | None,
+        *,
         prefix: str = "",
         notice: Callable[[GripEvent], None] | None = None,
         wanted: Collection[str] | None = None,

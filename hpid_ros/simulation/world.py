@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import Vector
-from hpid_ros.robot.description import JointDescription, RobotDescription
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.simulation.drives import Drive
 from hpid_ros.simulation.gripper import Gripper
 from hpid_ros.simulation.physics import Physics, Pose, Twist, require_meshes

@@ -17,7 +17,7 @@ from hpid_bench.experiment.processes import (
     closed_environment,
     own_domain,
 )
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 
 WITHIN = 60.0  # [s]
 CONTROLLER = ("joint_controller", "joint:=elbow", "wait_for_command_subscribers:=0")

@@ -17,8 +17,8 @@ from harness.recordings import (
     write,
 )
 
-from hpid_ros.messages.clocks import ahead_ns, set_backs
 from hpid_ros.messages.columns import JointSamples
+from hpid_ros.messages.reading.clocks import ahead_ns, set_backs
 
 T = np.arange(1000) / 100
 WAVE, LATE = 0.8 * np.sin(T), 0.8 * np.sin(T - 0.01)

@@ -18,7 +18,7 @@ from harness.recordings import CONTROLLER_STATE, DOF, DOFS, STORE, T0, header, m
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hpid_ros.base.errors import BagError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.messages.columns import controller_state_layout
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries, RunSeries

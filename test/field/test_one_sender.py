@@ -8,8 +8,8 @@ from harness.bags import JOINT_STATE, S
 from harness.foreign_bags import write
 from harness.senders import T0, joint_state, one_sender, two_senders
 
+from hpid_ros.messages.reading.senders import find_senders
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.senders import find_senders
 from hpid_ros.metrics import Measuring, measure
 
 COUNT = 1000

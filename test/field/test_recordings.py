@@ -40,7 +40,7 @@ from rosbags.typesys import get_types_from_msg
 
 from hpid_bench.cli.main import main
 from hpid_ros.base.errors import SettingError
-from hpid_ros.messages.senders import Part, find_senders
+from hpid_ros.messages.reading.senders import Part, find_senders
 from hpid_ros.metrics import Measuring, measure
 from hpid_ros.metrics.measure import compare, measure_all
 

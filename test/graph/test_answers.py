@@ -14,7 +14,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from benchmarks.surroundings import LOOPBACK
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 from hpid_ros.nodes.core import services
 from hpid_ros.nodes.core.services import Answers
 

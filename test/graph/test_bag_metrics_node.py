@@ -12,7 +12,7 @@ from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.writer import BagWriter
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.nodes.bag_metrics import FinishedBags
 from hpid_ros.nodes.core.middleware import LATCHED
 

@@ -18,7 +18,7 @@ from rcl_interfaces.srv import DescribeParameters
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory

@@ -20,7 +20,7 @@ from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_py
 from std_msgs.msg import Float64MultiArray
 
 from hpid_bench.experiment.processes import module_of
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.nodes.core.process import LAUNCH
 
 MS = 1_000_000

@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.storage import MISSED, STOOD_STILL, custom_data, recorded_slides
+from hpid_ros.messages.metadata import MISSED, STOOD_STILL, custom_data, recorded_slides
 from hpid_ros.messages.writer import repair_bag
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
 

@@ -2,7 +2,7 @@
 
 import yaml
 
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 
 TRACKING = share_folder() / "config" / "experiments" / "tracking.yaml"
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from harness.bags import JOINT_STATE, TYPES, S, serialised
-from hpid_ros.messages.senders import Part
+from hpid_ros.messages.reading.senders import Part
 
 T0 = 1_700_000_000 * S
 

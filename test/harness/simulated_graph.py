@@ -13,7 +13,7 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.robot.description import UNLIMITED
+from hpid_ros.robot.joint_description import UNLIMITED
 
 PERIOD_NS = 1_000_000
 _OF_NODE = {

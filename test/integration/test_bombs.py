@@ -21,8 +21,8 @@ from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.files import LARGEST_JSON
 from hpid_ros.base.yaml_files import MOST_LEVELS, load_yaml
 from hpid_ros.messages.mcap_file import LIMIT_VARIABLE, zstd_library
+from hpid_ros.messages.metadata import PARAMETERS
 from hpid_ros.messages.run import read_run
-from hpid_ros.messages.storage import PARAMETERS
 from hpid_ros.messages.writer import BagWriter
 
 pytestmark = pytest.mark.faults

@@ -17,8 +17,8 @@ from hpid_bench.experiment.graph_run import run_on_graph
 from hpid_bench.experiment.in_process import NoProgress, RunReport, run_without_ros, write_document
 from hpid_bench.experiment.result_folder import ResultFolder
 from hpid_ros.base.errors import BagError, ExperimentError
-from hpid_ros.base.files import share_folder
 from hpid_ros.base.records import Section
+from hpid_ros.base.resources import share_folder
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.messages.messages import BagMessages, PoseColumns
 from hpid_ros.messages.reports import POSE, POSES

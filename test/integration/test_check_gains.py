@@ -9,7 +9,7 @@ from harness.studies import compared
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.main import main
 from hpid_bench.live import graph_client
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.closed_loop import Certificate
 

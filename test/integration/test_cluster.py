@@ -25,7 +25,7 @@ from hpid_bench.experiment.batch import RunTask, WorldKeeper, run_batch, simulat
 from hpid_bench.experiment.cluster import Cluster, differences, pack, traits, unpack, work
 from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 
 STEP = share_folder() / "config" / "experiments" / "step.yaml"
 WRITTEN = ("runs.csv", "runs.jsonl", "study.json", "tables.txt")

@@ -8,7 +8,7 @@ import yaml
 
 from hpid_bench.experiment.description import load_experiment, load_reference
 from hpid_ros.base.errors import ExperimentError, SettingError, TrajectoryError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.base.yaml_files import MOST_EXTENDED, load_document
 from hpid_ros.simulation.world_file import world_of
 

@@ -20,17 +20,17 @@ from hpid_bench.experiment.in_process import write_run_files
 from hpid_bench.tuning.upgrade import Upgrade, upgrade_text
 from hpid_bench.tuning.upgrade_prediction import simulate as simulate_loops
 from hpid_ros.base.errors import ExperimentError, RobotDescriptionError
-from hpid_ros.base.files import (
+from hpid_ros.base.records import Section
+from hpid_ros.base.resources import (
     ResourceError,
     find_resource,
     package_folder,
     package_uri,
     share_folder,
 )
-from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.control.controller_files import settings_from_parameters
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics

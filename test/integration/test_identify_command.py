@@ -11,9 +11,9 @@ from harness.motions import Plant, motion, needed
 
 from hpid_bench.cli.main import main
 from hpid_bench.experiment.description import load_experiment
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.storage import missed_entries
+from hpid_ros.messages.metadata import missed_entries
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import InverseDynamics

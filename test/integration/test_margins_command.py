@@ -14,7 +14,7 @@ from harness.motions import excited_run, multisine
 
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.main import main
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint

@@ -14,13 +14,16 @@ from functools import partial
 import numpy as np
 import pytest
 import yaml
-from harness.bags import FLOATS, JOINT_STATE, MS, floats, write_bag
+from harness.bags import FLOATS, JOINT_STATE, MS, floats, small_log, write_bag
 from harness.experiments import write_experiment
 from harness.studies import compared
 
 from hpid_bench.cli.commands import BAD_INPUT, DONE
 from hpid_bench.experiment.result_folder import MARKER
+from hpid_ros.base import yaml_files
+from hpid_ros.messages import metadata, storage
 from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.mcap_file import McapFile
 from hpid_ros.messages.writer import BagWriter
 
 
@@ -57,6 +60,27 @@ def test_bags_a_result_folder_and_saved_numbers_give_the_same_numbers(run, resul
         assert code == DONE
         assert json.loads(printed) == saved_indices(result)
         assert errors == ""
+
+
+def test_each_bag_is_opened_once_and_its_metadata_are_read_once(run, tmp_path, monkeypatch):
+    read, opened = [], []
+
+    def load_yaml(path, *others):
+        read.append(path.parent.name)
+        return yaml_files.load_yaml(path, *others)
+
+    class CountedFile(McapFile):
+        def __init__(self, path, report):
+            opened.append(path.stem)
+            super().__init__(path, report)
+
+    monkeypatch.setattr(metadata, "load_yaml", load_yaml)
+    monkeypatch.setattr(storage, "McapFile", CountedFile)
+    for names in (["a"], ["b", "c"]):
+        assert run(*(write_bag(tmp_path / name, small_log()) for name in names))[0] == DONE
+        assert read == opened == names
+        read.clear()
+        opened.clear()
 
 
 def test_labels_name_the_bags_and_equal_labels_are_repeats(run, bags):

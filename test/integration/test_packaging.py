@@ -16,7 +16,7 @@ from catkin_pkg.package import parse_package
 from harness.places import ROOT
 
 import hpid_ros
-from hpid_ros.base.processes import OPTIONAL
+from hpid_ros.base.libraries import OPTIONAL
 
 pytestmark = pytest.mark.repository
 

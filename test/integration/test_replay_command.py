@@ -25,7 +25,7 @@ from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.messages.messages import PARAMETER_EVENTS
-from hpid_ros.messages.storage import PARAMETERS, custom_data
+from hpid_ros.messages.metadata import PARAMETERS, custom_data
 from hpid_ros.messages.writer import BagWriter
 
 FLOAT = "std_msgs/msg/Float64"

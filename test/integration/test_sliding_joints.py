@@ -21,12 +21,12 @@ from hpid_bench.report.figures import figures_of
 from hpid_bench.tuning.upgrade import Proposals, Upgrade
 from hpid_bench.tuning.upgrade_page import _changes
 from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.messages.metadata import SLIDES, recorded_slides, slides_entry
 from hpid_ros.messages.series import RunSeries
-from hpid_ros.messages.storage import SLIDES, recorded_slides, slides_entry
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics import measure
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.metrics.texts import FORMATS
 
 ROBOT = """<robot name="lift">

@@ -36,7 +36,7 @@ from hpid_bench.experiment.study_plan import (
     read_journal,
 )
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.metrics.quantities import INDICES
 
 EXPERIMENTS = share_folder() / "config" / "experiments"

@@ -6,16 +6,9 @@ import pytest
 from hpid_bench.experiment.compare import Result, save_numbers
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.result_folder import ResultFolder
-from hpid_ros.messages.series import (
-    DataQuality,
-    JointSeries,
-    RecordingQuality,
-    RunSeries,
-    StampQuality,
-    quality_lines,
-    unfollowed,
-    unfollowed_lines,
-)
+from hpid_ros.messages.quality import DataQuality, RecordingQuality, StampQuality
+from hpid_ros.messages.quality_lines import quality_lines, unfollowed, unfollowed_lines
+from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.metrics import Comparison, run_indices
 
 TIME = np.linspace(0.0, 4.0, 4001)

@@ -381,7 +381,7 @@ def result(tmp_path_factory):
     """Return the folder of a run: a parameter file of two of its controllers, and its bag."""
     from hpid_bench.experiment.description import load_experiment
     from hpid_bench.experiment.in_process import NoProgress, run_without_ros, write_run_files
-    from hpid_ros.base.files import share_folder
+    from hpid_ros.base.resources import share_folder
 
     folder = tmp_path_factory.mktemp("upgrade")
     document = yaml.safe_load((share_folder() / "config/experiments/tracking.yaml").read_text())

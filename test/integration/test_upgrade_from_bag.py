@@ -23,8 +23,8 @@ from hpid_bench.cli.options import parameter_file
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.in_process import NoProgress, run_without_ros
 from hpid_bench.tuning.upgrade_prediction import Prediction, _ran, read_prediction
-from hpid_ros.base.files import share_folder
-from hpid_ros.messages.storage import PARAMETERS, custom_data, missed_entries
+from hpid_ros.base.resources import share_folder
+from hpid_ros.messages.metadata import PARAMETERS, custom_data, missed_entries
 from hpid_ros.messages.writer import BagWriter
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2

@@ -9,7 +9,7 @@ import pytest
 from harness.bags import small_log, write_bag
 
 from hpid_ros.base.errors import LibraryError
-from hpid_ros.base.processes import OPTIONAL, optional_libraries
+from hpid_ros.base.libraries import OPTIONAL, optional_libraries
 
 BENCH = {"argcomplete", "jinja2", "joblib", "matplotlib", "PIL", "rich"}
 WITHOUT_PACKAGE = OPTIONAL.keys() - {"pinocchio", *BENCH}  # rosdep knows these

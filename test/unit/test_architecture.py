@@ -5,8 +5,9 @@ Two houses: what drives a robot, and the bench, which may use it and is not used
 
 import ast
 import functools
-import importlib
+import importlib.util
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -71,7 +72,7 @@ DOCUMENTED_BY_ROSBAGS = {
 # Files, signals and terminals are not for the pure rooms.
 SHELL = {
     *("hpid_ros.base.console", "hpid_ros.base.processes", "hpid_ros.base.files"),
-    "hpid_ros.base.yaml_files",
+    *("hpid_ros.base.libraries", "hpid_ros.base.resources", "hpid_ros.base.yaml_files"),
 }
 
 
@@ -88,6 +89,15 @@ def modules():
 @functools.cache
 def parsed(path):
     return ast.parse(path.read_text())
+
+
+@pytest.fixture(scope="module")
+def size():
+    """Return tools/size.py, which is in no package."""
+    spec = importlib.util.spec_from_file_location("size", ROOT / "tools" / "size.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def room(path):
@@ -150,6 +160,47 @@ def test_what_drives_a_robot_knows_nothing_of_the_bench():
     """Not even by name: what it starts as a process is started by the bench."""
     for path in (ROOT / "hpid_ros").rglob("*.py"):
         assert "hpid_bench." not in path.read_text(), path
+
+
+# What a process of a robot loads ---------------------------------------------------------------
+
+
+# Lines of code, see tools/size.py. To raise it is a decision: all of it runs next to a robot.
+ROBOTS_SIDE_AT_MOST = 16_000
+BENCH_ALONE = {"hpid_bench", "matplotlib", "rich", "jinja2", "joblib", "PIL"}
+# What a controller has no use for before its first state; each takes its time to import.
+UNUSED_BY_CONTROLLERS = {
+    *("csv", "difflib", "multiprocessing", "secrets", "shutil", "tempfile", "xml"),
+    *("numpy.polynomial", "scipy", "hpid_ros.metrics", "hpid_ros.motion.base_path"),
+    *("hpid_ros.motion.generators", "hpid_ros.robot.description"),
+}
+
+
+def modules_loaded_by(*nodes):
+    names = ", ".join(f"hpid_ros.nodes.{node}" for node in nodes)
+    program = f"import {names}, sys; print(*sys.modules)"
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    found = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True, env=env
+    )
+    return set(found.stdout.split())
+
+
+def test_what_drives_a_robot_has_not_grown(size):
+    files = size.loaded_files(ROOT)
+    assert ROOT / "hpid_ros" / "nodes" / "joint_controller.py" in files
+    code = sum(size.code_lines(path.read_text()) for path in files)
+    assert code <= ROBOTS_SIDE_AT_MOST
+    assert code > 0.9 * ROBOTS_SIDE_AT_MOST  # else the ceiling is to come down
+
+
+def test_a_robots_nodes_load_nothing_that_is_the_benchs_alone(size):
+    loaded = modules_loaded_by(*size.ROBOTS_SIDE)
+    assert not BENCH_ALONE & {name.partition(".")[0] for name in loaded}
+
+
+def test_a_controller_loads_nothing_that_it_has_no_use_for():
+    assert not UNUSED_BY_CONTROLLERS & modules_loaded_by("joint_controller")
 
 
 def test_there_is_no_circle():

@@ -21,7 +21,8 @@ from rich.text import Text
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.terminal import output_console
 from hpid_bench.experiment.processes import ROOM, SHARED_MEMORY
-from hpid_ros.base.processes import OPTIONAL, Library, raise_if_interrupted
+from hpid_ros.base.libraries import OPTIONAL, Library
+from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.simulation.settings import ENGINES
 
 # Fine; something that not everybody needs is missing; controllers or the robot will not run.

@@ -23,8 +23,9 @@ from hpid_bench.tuning.identification_report import (
 from hpid_bench.tuning.identify import Method
 from hpid_bench.tuning.robot_identification import RobotIdentification, base_motion, identify_robot
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import find_resource, refuse_outputs
+from hpid_ros.base.files import refuse_outputs
 from hpid_ros.base.names import NamePatterns
+from hpid_ros.base.resources import find_resource
 from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.measure import sliding_joints
 from hpid_ros.robot.description import GivenRobot

@@ -8,7 +8,7 @@ import sys
 from typing import NoReturn
 
 from hpid_bench.experiment.processes import parameters
-from hpid_ros.base.processes import require_ros
+from hpid_ros.base.libraries import require_ros
 
 
 def run(options: argparse.Namespace) -> NoReturn:

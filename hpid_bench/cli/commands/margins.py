@@ -33,8 +33,8 @@ from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.files import refuse_outputs
 from hpid_ros.base.names import NamePatterns
 from hpid_ros.control.controller_files import ParameterFile
+from hpid_ros.messages.quality import MEASURED
 from hpid_ros.messages.run import read_run
-from hpid_ros.messages.series import MEASURED
 from hpid_ros.stability.gain_check import Loop, check_gains
 from hpid_ros.stability.margins import LoopFamily, family_margins
 from hpid_ros.stability.measured_margins import (

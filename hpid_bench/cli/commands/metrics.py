@@ -19,8 +19,9 @@ from hpid_bench.report.figures import require_formats
 from hpid_bench.report.table import ComparisonTable, table_text
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError, require_known
-from hpid_ros.base.files import find_resource, refuse_outputs, write_file
+from hpid_ros.base.files import refuse_outputs, write_file
 from hpid_ros.base.names import require_label
+from hpid_ros.base.resources import find_resource
 from hpid_ros.messages.selection import BagSelection, Reference, parse_command_topics
 from hpid_ros.metrics.alignment import RunWindow, parse_windows
 from hpid_ros.metrics.measure import (
@@ -240,7 +241,7 @@ def _report_text(found: Summary) -> str:
         found.series,
         provenance,
         found.parameters,
-        warnings=found.warnings,
+        warnings=(*found.warnings, *found.gain_notes()),
         repeats=found.repeats,
         gains=found.gains(),
         paths=found.paths,

@@ -26,8 +26,9 @@ from hpid_bench.experiment.in_process import (
 )
 from hpid_bench.experiment.processes import NodeGroup, parameters
 from hpid_ros.base.errors import ExperimentError, RunError, require_known
+from hpid_ros.base.libraries import require_ros
 from hpid_ros.base.names import controller_name, require_node_names
-from hpid_ros.base.processes import raise_if_interrupted, require_ros
+from hpid_ros.base.processes import raise_if_interrupted
 
 _PAGE = "live_tuner"
 _STARTS_WITHIN, _LOOK_PERIOD, _ENDS_WITHIN = 60.0, 0.1, 10.0  # [s]

@@ -59,7 +59,7 @@ from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import INDICES
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.robot.description import GivenRobot
 
 _OUTPUT = Path("upgrade.yaml")

@@ -36,7 +36,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, ClassVar, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import rclpy
 from rcl_interfaces.msg import ParameterValue
@@ -57,7 +57,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from hpid_ros.base.errors import ClaimError, HpidError, RunError, SettingError, reason_of
-from hpid_ros.base.processes import optional_libraries
+from hpid_ros.base.libraries import optional_libraries
 from hpid_ros.base.text import shown
 from hpid_ros.nodes.core.middleware import load_profile
 from hpid_ros.nodes.core.parameters import (
@@ -137,6 +137,19 @@ _SWITCH_INTERVAL = 5e-4  # [s]; how late another thread (a decoder) makes a samp
 _DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
 
 
+_made: list[Node] = []  # of this process, in part or in whole
+
+
+def note_made(node: Node) -> None:
+    """Note a node before it is built: also one that is refused half-way is destroyed."""
+    _made.append(node)
+
+
+def names_of_nodes() -> set[str]:
+    """Return the full names of this process's nodes."""
+    return {str(each.get_fully_qualified_name()) for each in _made}
+
+
 class ClosingNode(Node):
     """A node that has something to do before its context is gone.
 
@@ -144,16 +157,10 @@ class ClosingNode(Node):
     """
 
     supervisor: Supervisor | None = None
-    sources = ParameterSources()
-    made: ClassVar[list[Node]] = []  # all nodes of the process, in part or in whole
-
-    def __new__(cls, *_: Any, **__: Any) -> ClosingNode:
-        """Remember what is made in this process: also a node that is refused is destroyed."""
-        node = super().__new__(cls)
-        cls.made.append(node)
-        return node
+    sources = ParameterSources()  # where the parameters of this process come from, see run
 
     def __init__(self, name: str, **options: Any) -> None:
+        note_made(self)
         super().__init__(name, **options)
         self.guard(lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0))
 
@@ -496,7 +503,11 @@ def run(
     usage: Usage | None = None,
     niceness: int = 0,
 ) -> int:
-    """Run nodes until a signal or one of them ends the process."""
+    """Run nodes until a signal or one of them ends the process.
+
+    It returns, with the exit code, where it does not come to that: after the help, or because of
+    arguments that cannot be used.
+    """
     command_line = list(sys.argv if args is None else args)
     try:
         surplus = remove_ros_args(command_line)[1:]
@@ -512,13 +523,19 @@ def run(
         rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:
         return _refuse(_ros_error(error))
+    _run_to_the_end(make_nodes, command_line)
+
+
+def _run_to_the_end(
+    make_nodes: Callable[[], Sequence[ClosingNode]], command_line: Sequence[str]
+) -> NoReturn:
     code = FAILED
     try:
         with Supervisor() as supervisor:
             code = _run_in_context(make_nodes, command_line, supervisor)
         flush_events(_EVENTS_WITHIN)
         end_in_time(code)
-        for node in ClosingNode.made:
+        for node in _made:
             _destroy(node)
         rclpy.try_shutdown()
         if supervisor.ends_by is not None:

@@ -30,8 +30,8 @@ from rclpy.timer import Timer
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 
-from hpid_ros.base.files import ResourceError, find_resource
 from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.base.resources import ResourceError, find_resource
 
 _CLOCKS: WeakKeyDictionary[Node, Clock] = WeakKeyDictionary()
 

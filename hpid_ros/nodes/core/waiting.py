@@ -26,7 +26,7 @@ from rclpy.timer import Timer
 from hpid_ros.base.errors import MessageError, listed_names, nearest_name
 from hpid_ros.base.text import bounded
 from hpid_ros.messages.joint_state import decode_joint_state
-from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.executor import names_of_nodes
 from hpid_ros.nodes.core.middleware import UNNAMED, full_name, steady_timer
 
 PATIENCE = 2.0  # [s]
@@ -176,7 +176,7 @@ def topic_view(
 
 def _elsewhere(node: Node, topic: str, wanted: str, role: str) -> tuple[str, ...]:
     """Return topics of the wanted type that have what is missed, those of a like name first."""
-    own = _own_nodes()
+    own = names_of_nodes()
 
     def is_meant(name: str) -> bool:
         """Tell whether others have there what is missed, and this process has nothing to do."""
@@ -202,13 +202,9 @@ def _last(topic: str) -> str:
     return topic.rpartition("/")[2]
 
 
-def _own_nodes() -> set[str]:
-    return {str(each.get_fully_qualified_name()) for each in ClosingNode.made}
-
-
 def _alone(node: Node) -> int | None:
     """Return the domain where nobody else is seen in it, but those of this process."""
-    own = _own_nodes()
+    own = names_of_nodes()
     found = {f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()}
     others = [name for name in found - own if not name.rpartition("/")[2].startswith("_")]
     return None if others else int(node.context.get_domain_id())

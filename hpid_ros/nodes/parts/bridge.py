@@ -20,9 +20,9 @@ from hpid_ros.base.errors import (
     SettingError,
     reason_of,
 )
-from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
+from hpid_ros.base.resources import find_resource
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.messages.joint_state import SIMULATED, EffortReader, JointStateTemplate
@@ -57,7 +57,7 @@ from hpid_ros.nodes.parts.bridge_services import (
     WrenchParameters,
     offer_standard_services,
 )
-from hpid_ros.nodes.parts.joint_topics import COMMANDS
+from hpid_ros.nodes.parts.command_interfaces import COMMANDS
 from hpid_ros.nodes.parts.recorder import BagRecorder
 from hpid_ros.robot.amendments import RobotSection
 from hpid_ros.simulation.lockstep import AnswerCounts, Barrier

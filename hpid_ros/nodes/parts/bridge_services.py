@@ -130,28 +130,35 @@ def offer_standard_services(node: ClosingNode, simulation: BridgeServices, world
         from simulation_interfaces import msg, srv
     except ImportError:
         return
-    states, results, features = msg.SimulationState, msg.Result, msg.SimulatorFeatures
-    already = srv.SetSimulationState.Response.ALREADY_IN_TARGET_STATE
-    scopes = srv.ResetSimulation.Request
-    both = scopes.SCOPE_TIME | scopes.SCOPE_STATE
+    offered = StandardServices(node, simulation, world, msg, srv)
+    node.create_service(srv.GetSimulatorFeatures, "~/get_simulator_features", offered.features)
+    node.create_service(srv.GetSimulationState, "~/get_simulation_state", offered.state)
+    node.create_service(srv.SetSimulationState, "~/set_simulation_state", offered.set_state)
+    node.create_service(srv.ResetSimulation, "~/reset_simulation", offered.reset)
+    node.create_service(srv.StepSimulation, "~/step_simulation", offered.step)
 
-    def answered(response: Any, result: int = results.RESULT_OK, line: str = "") -> Any:
-        response.result.result, response.result.error_message = int(result), line
-        return response
 
-    def unsupported(response: Any, line: str) -> Any:
-        return answered(response, results.RESULT_FEATURE_UNSUPPORTED, line)
+class StandardServices:
+    """Answers the requests of ``simulation_interfaces``, whose messages are given."""
 
-    def present() -> int:
-        if not simulation.is_paused:
-            return int(states.STATE_PLAYING)
-        return int(states.STATE_STOPPED if world.time_ns == 0 else states.STATE_PAUSED)
+    def __init__(
+        self, node: ClosingNode, simulation: BridgeServices, world: World, msg: Any, srv: Any
+    ) -> None:
+        self._node, self._simulation, self._world = node, simulation, world
+        self._states, self._results = msg.SimulationState, msg.Result
+        self._features = msg.SimulatorFeatures
+        self._scopes = srv.ResetSimulation.Request
+        self._already = srv.SetSimulationState.Response.ALREADY_IN_TARGET_STATE
 
-    def get_features(request: Any, response: Any) -> Any:
+    def features(self, request: Any, response: Any) -> Any:
+        features = self._features
         response.features.features = [
-            *(features.SIMULATION_RESET, features.SIMULATION_RESET_TIME),
-            *(features.SIMULATION_RESET_STATE, features.SIMULATION_STATE_GETTING),
-            *(features.SIMULATION_STATE_SETTING, features.SIMULATION_STATE_PAUSE),
+            features.SIMULATION_RESET,
+            features.SIMULATION_RESET_TIME,
+            features.SIMULATION_RESET_STATE,
+            features.SIMULATION_STATE_GETTING,
+            features.SIMULATION_STATE_SETTING,
+            features.SIMULATION_STATE_PAUSE,
             features.STEP_SIMULATION_SINGLE,
         ]
         response.features.custom_info = (
@@ -159,56 +166,68 @@ def offer_standard_services(node: ClosingNode, simulation: BridgeServices, world
         )
         return response
 
-    def get_state(request: Any, response: Any) -> Any:
-        response.state.state = present()
-        return answered(response)
+    def state(self, request: Any, response: Any) -> Any:
+        response.state.state = self._present()
+        return self._answered(response)
 
-    def set_state(request: Any, response: Any) -> Any:
-        """Stopped is paused at time zero."""
-        wanted = request.state.state
-        if wanted == present():
-            return answered(response, already)
+    def set_state(self, request: Any, response: Any) -> Any:
+        """Play, pause, stop or quit; stopped is paused at time zero."""
+        states, wanted = self._states, request.state.state
+        if wanted == self._present():
+            return self._answered(response, self._already)
         if wanted == states.STATE_PLAYING:
-            simulation.pause(False)
+            self._simulation.pause(False)
         elif wanted in (states.STATE_PAUSED, states.STATE_STOPPED):
-            simulation.pause(True)
+            self._simulation.pause(True)
             if wanted == states.STATE_STOPPED:
-                simulation.reset()
+                self._simulation.reset()
         elif wanted == states.STATE_QUITTING:
-            node.request_stop()
+            self._node.request_stop()
         else:
-            return unsupported(
+            return self._unsupported(
                 response,
                 f"the state may be stopped (0), playing (1), paused (2) or quitting (3), "
                 f"not {wanted}",
             )
-        return answered(response)
+        return self._answered(response)
 
-    def reset(request: Any, response: Any) -> Any:
+    def reset(self, request: Any, response: Any) -> Any:
+        scopes = self._scopes
+        both = scopes.SCOPE_TIME | scopes.SCOPE_STATE
         if request.scope != scopes.SCOPE_DEFAULT and request.scope & both != both:
-            return unsupported(
+            return self._unsupported(
                 response,
                 f"time and state are reset together, by scope 0, {both} or 255, "
                 f"not {request.scope}",
             )
-        simulation.reset()
-        return answered(response)
+        self._simulation.reset()
+        return self._answered(response)
 
-    def step(request: Any, response: Any) -> Any:
-        """In lock-step a control period waits for the answers."""
+    def step(self, request: Any, response: Any) -> Any:
+        """Let one control period pass; in lock-step it waits for the answers."""
         if request.steps != 1:
-            return unsupported(response, f"one step at a time, not {request.steps}")
-        if not simulation.step():
-            return answered(
-                response, results.RESULT_OPERATION_FAILED, "the simulation is not paused"
+            return self._unsupported(response, f"one step at a time, not {request.steps}")
+        if not self._simulation.step():
+            return self._answered(
+                response, self._results.RESULT_OPERATION_FAILED, "the simulation is not paused"
             )
-        return answered(response)
+        return self._answered(response)
 
-    node.create_service(srv.GetSimulatorFeatures, "~/get_simulator_features", get_features)
-    node.create_service(srv.GetSimulationState, "~/get_simulation_state", get_state)
-    node.create_service(srv.SetSimulationState, "~/set_simulation_state", set_state)
-    node.create_service(srv.ResetSimulation, "~/reset_simulation", reset)
-    node.create_service(srv.StepSimulation, "~/step_simulation", step)
+    def _present(self) -> int:
+        """Return the state that the simulation is in."""
+        if not self._simulation.is_paused:
+            return int(self._states.STATE_PLAYING)
+        is_stopped = self._world.time_ns == 0
+        return int(self._states.STATE_STOPPED if is_stopped else self._states.STATE_PAUSED)
+
+    def _answered(self, response: Any, result: int | None = None, line: str = "") -> Any:
+        """Return a response with its result, which is well if none is given."""
+        found = self._results.RESULT_OK if result is None else result
+        response.result.result, response.result.error_message = int(found), line
+        return response
+
+    def _unsupported(self, response: Any, line: str) -> Any:
+        return self._answered(response, self._results.RESULT_FEATURE_UNSUPPORTED, line)
 
 
 _MESSAGES: dict[str, Any] = {
@@ -246,7 +265,9 @@ class BridgeReports:
         asked = read(node, ReportParameters)
         link = world.description.link(asked.ee_link or world.description.last_link)
         self._reports = Reports(
-            world, link, asked.report_rate, end_ns, prefix, self._on_grip_event
+            *(world, link, asked.report_rate, end_ns),
+            prefix=prefix,
+            notice=self._on_grip_event,
         )
         self._publishers = {
             topic: node.create_publisher(

@@ -37,7 +37,7 @@ from hpid_ros.nodes.core.middleware import full_name, steady_timer
 from hpid_ros.nodes.core.parameters import declare, read
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, log_change
 from hpid_ros.nodes.parts.joint_topics import STATES
-from hpid_ros.robot.description import robot_limits
+from hpid_ros.robot.joint_description import UNLIMITED, JointDescription
 from hpid_ros.robot.loop_settings import loop_settings
 from hpid_ros.robot.on_demand import loop_model
 from hpid_ros.stability.certifier import Certifier
@@ -83,6 +83,16 @@ def _refuse_undescribed(parameters: Mapping[str, Any]) -> None:
             )
 
 
+def _limits_of(robot: str, joint: str) -> JointDescription:
+    """Return a joint of a description; without one, a joint without limits."""
+    if not robot:
+        return UNLIMITED
+    # What reads URDFs is imported where there is one: it takes an XML parser.
+    from hpid_ros.robot.description import robot_limits
+
+    return robot_limits(robot, joint)
+
+
 class ControllerSettings:
     """Makes of a controller's parameters the settings of its loop, within the robot's limits."""
 
@@ -90,7 +100,7 @@ class ControllerSettings:
         self._node = node
         declare(node, [PARAMETERS["joint"]], read_only=["joint"])
         self.robot = read(node, RobotParameters).robot_description
-        self._limits = robot_limits(self.robot, str(node.get_parameter("joint").value))
+        self._limits = _limits_of(self.robot, str(node.get_parameter("joint").value))
         self.is_slide = self._limits.is_slide
         specs = [spec for name, spec in PARAMETERS.items() if name != "joint"]
         declare(node, specs, MODEL_PARAMETERS, is_slide=self.is_slide, defaults=defaults)

@@ -63,6 +63,7 @@ class GroupTopics:
         follower: GoalFollower,
         state_topics: Sequence[str],
         references: Mapping[str, str],
+        *,
         act: Callable[[Outcome | None], None],
         fault: Callable[[str], None],
         warn: Callable[[str], None],

@@ -465,6 +465,7 @@ def for_all_joints(
     joints: Sequence[str],
     start_ns: int,
     now_ns: int,
+    *,
     standing: Sequence[Sequence[float]],
     rest: Sequence[float],
     settling: float,

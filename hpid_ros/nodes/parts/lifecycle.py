@@ -37,6 +37,7 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
     """
 
     def __init__(self, name: str, **options: Any) -> None:
+        executor.note_made(self)  # rclpy's LifecycleNode does not call the next constructor
         super().__init__(name, **options)
         self.is_active = False
         self._failure: Exception | None = None

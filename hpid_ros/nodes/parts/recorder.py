@@ -28,7 +28,7 @@ from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.control.controller_files import settings_from_parameters
-from hpid_ros.messages.storage import PARAMETERS, missed_entries, slides_entry
+from hpid_ros.messages.metadata import PARAMETERS, missed_entries, slides_entry
 from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import OFFERED, steady_timer

@@ -13,7 +13,7 @@ from hpid_ros.control import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
-from hpid_ros.robot.description import UNLIMITED
+from hpid_ros.robot.joint_description import UNLIMITED
 
 MS, SECOND = 1_000_000, 1_000_000_000
 PID = {"law": "pid", "gains__p": 200.0, "gains__i": 500.0, "gains__d": 20.0}

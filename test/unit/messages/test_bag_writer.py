@@ -21,11 +21,9 @@ from mcap_ros2.decoder import DecoderFactory
 from hpid_bench.cli.main import main
 from hpid_bench.report.page import Paragraph, data_quality
 from hpid_ros.base.errors import BagError, LibraryError, ResultExistsError
-from hpid_ros.base.processes import optional_libraries
+from hpid_ros.base.libraries import optional_libraries
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.run import read_run
-from hpid_ros.messages.series import quality_lines
-from hpid_ros.messages.storage import (
+from hpid_ros.messages.metadata import (
     MISSED,
     STOOD_STILL,
     custom_data,
@@ -33,6 +31,8 @@ from hpid_ros.messages.storage import (
     missed_messages,
     time_stood_still,
 )
+from hpid_ros.messages.quality_lines import quality_lines
+from hpid_ros.messages.run import read_run
 from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos, jazzy_types, repair_bag
 
 COMMAND = JointStateTemplate(["elbow"], effort=True)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.messages.bounds import (
     GOALS_KEPT,
     LENGTH,

@@ -33,8 +33,9 @@ from hpid_bench.cli.main import main
 from hpid_ros.base.errors import BagError, SettingError
 from hpid_ros.messages import columns
 from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.reading.topic_choice import choose_topics
 from hpid_ros.messages.run import read_run
-from hpid_ros.messages.selection import BagSelection, choose_topics, parse_command_topics
+from hpid_ros.messages.selection import BagSelection, parse_command_topics
 from hpid_ros.messages.series import JointSeries, Losses, RunSeries
 from hpid_ros.metrics import run_indices
 from hpid_ros.metrics.quantities import find_quantities
@@ -572,3 +573,37 @@ def test_one_joint_without_energy_leaves_no_sum():
     numbers = run_indices(RunSeries("run", (shared, foreign)))
     assert numbers.value(energy, "a") > 0.0
     assert math.isnan(numbers.value(energy))
+
+
+# Velocities ------------------------------------------------------------------------------------
+
+
+def test_velocities_are_those_of_the_states_where_they_are_asked_for(tmp_path):
+    """Some states report none; one comes late, and one is repeated with another velocity."""
+    full = JointStateTemplate(["a", "b"], position=True, velocity=True)
+    bare = JointStateTemplate(["a", "b"], position=True)
+    stamps = [0, 10, 30, 20, 40, 40, 50]
+    log = []
+    for k, stamp in enumerate(stamps):
+        positions = [0.1 * k, 0.0]
+        if stamp == 10:
+            raw = bare.encode(stamp * MS, position=positions)
+        else:
+            raw = full.encode(stamp * MS, position=positions, velocity=[float(k), -1.0])
+        log.append(("joint_states", (k + 1) * MS, raw))
+        log.append(command(stamp * MS, a=1.0))
+    bag = write_bag(tmp_path / "bag", log)
+    (series,) = read_run(bag, "x", selection=BagSelection(velocities=True)).joints
+    assert series.position.tolist() == [0.0, 0.1, 0.1 * 3, 0.1 * 2, 0.1 * 5, 0.1 * 6]
+    assert repr(series.velocity.tolist()) == repr([0.0, math.nan, 3.0, 2.0, 5.0, 6.0])
+    window = BagSelection(velocities=True, start=0.02, end=0.04)
+    assert read_run(bag, "x", selection=window).joints[0].velocity.tolist() == [3.0, 2.0, 5.0]
+    assert read_run(bag, "x").joints[0].velocity is None
+
+
+def test_states_without_velocities_have_none_where_they_are_asked_for(tmp_path):
+    log = [each for k in range(4) for each in (state(k * MS, a=0.1), command(k * MS, a=1.0))]
+    bag = write_bag(tmp_path / "bag", log)
+    (series,) = read_run(bag, "x", selection=BagSelection(velocities=True)).joints
+    assert np.isnan(series.velocity).all()
+    assert len(series.velocity) == 4

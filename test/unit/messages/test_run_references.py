@@ -27,14 +27,15 @@ from hpid_ros.base.errors import BagError
 from hpid_ros.control import Gains, JointLoop
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.columns import JointSamples
-from hpid_ros.messages.references import (
+from hpid_ros.messages.reading.references import (
     ReferenceEvent,
     sample_events,
     sample_setpoints,
     setpoint_events,
 )
+from hpid_ros.messages.reading.topic_choice import choose_topics
 from hpid_ros.messages.run import read_run
-from hpid_ros.messages.selection import BagSelection, choose_topics
+from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import Losses
 from hpid_ros.motion import Column, JointTrajectory, Knot, TrajectoryPoint
 

@@ -13,11 +13,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from hpid_bench.report.table import ComparisonTable, table_text
-from hpid_ros.messages.series import (
-    DataQuality,
-    RecordingQuality,
-    SeriesError,
-)
+from hpid_ros.messages.quality import DataQuality, RecordingQuality
+from hpid_ros.messages.series import SeriesError
 from hpid_ros.metrics.alignment import common_cuts, outline_of
 from hpid_ros.metrics.comparison import (
     Comparison,
@@ -39,7 +36,8 @@ from hpid_ros.metrics.quantities import (
     NORMS,
     Data,
 )
-from hpid_ros.metrics.results import run_indices, runs_from_mapping
+from hpid_ros.metrics.run_numbers import run_indices
+from hpid_ros.metrics.saved_results import runs_from_mapping
 from hpid_ros.metrics.texts import (
     CSV_COLUMNS,
     cells_of,

@@ -17,7 +17,6 @@ from hpid_ros.metrics.indices import (
     amplitude_density,
     chatter,
     energy,
-    exact_sum,
     find_steps,
     integral_of_absolute,
     itae,
@@ -45,7 +44,8 @@ from hpid_ros.metrics.quantities import (
     Data,
     find_quantities,
 )
-from hpid_ros.metrics.results import joint_indices, run_indices
+from hpid_ros.metrics.run_numbers import joint_indices, run_indices
+from hpid_ros.metrics.summation import exact_sum
 
 MS = 1_000_000
 

@@ -29,7 +29,9 @@ from hpid_ros.metrics.quantities import (
     RISE_TIME,
     RMSE,
 )
-from hpid_ros.metrics.results import run_indices, runs_from_mapping, with_angles_in
+from hpid_ros.metrics.results import with_angles_in
+from hpid_ros.metrics.run_numbers import run_indices
+from hpid_ros.metrics.saved_results import runs_from_mapping
 from hpid_ros.metrics.texts import table_csv, table_lines
 
 

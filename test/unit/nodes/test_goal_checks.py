@@ -165,7 +165,15 @@ def test_a_goal_is_told_to_all_joints_and_has_begun_for_each_of_them():
     request = goal({"elbow": [1.0, 2.0]}, [0.5, 1.0], {"elbow": [0.3, 0.0]})
     now_ns = 5 * SECOND
     standing = [(0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.7, 0.8, 0.9)]
-    told = for_all_joints(request, JOINTS, now_ns - 1, now_ns, standing, [10.0, 20.0, 30.0], 0.5)
+    told = for_all_joints(
+        request,
+        JOINTS,
+        now_ns - 1,
+        now_ns,
+        standing=standing,
+        rest=[10.0, 20.0, 30.0],
+        settling=0.5,
+    )
     assert (told.names, told.stamp_ns) == (JOINTS, now_ns - 1)
     assert told.times_ns.tolist() == [0, SECOND // 2, SECOND]
     positions, velocities, accelerations, _ = told.arrays
@@ -179,7 +187,9 @@ def test_a_goal_is_told_to_all_joints_and_has_begun_for_each_of_them():
 def test_efforts_of_a_goal_are_told_to_its_joints_from_its_start_on():
     request = goal({"elbow": [1.0, 2.0]}, [0.5, 1.0], efforts={"elbow": [3.0, 5.0]})
     standing = [(0.0, 0.0, 0.0)] * 3
-    told = for_all_joints(request, JOINTS, 4 * SECOND, 4 * SECOND, standing, [0.0] * 3, 0.5)
+    told = for_all_joints(
+        request, JOINTS, 4 * SECOND, 4 * SECOND, standing=standing, rest=[0.0] * 3, settling=0.5
+    )
     elbow, slide = (told.column(k).start(4 * SECOND, 0.0) for k in (1, 2))
     planned = [elbow.effort(round((4.0 + t) * SECOND)) for t in (0.0, 0.5, 0.75, 1.0, 2.0)]
     assert planned == pytest.approx([3.0, 3.0, 4.0, 5.0, 5.0])
@@ -189,7 +199,9 @@ def test_efforts_of_a_goal_are_told_to_its_joints_from_its_start_on():
 
 def test_a_goal_whose_first_point_is_now_gets_none_before_it():
     request = goal({name: [1.0, 2.0] for name in JOINTS}, [0.0, 1.0])
-    told = for_all_joints(request, JOINTS, 4, 5, [(0.0, 0.0, 0.0)] * 3, [0.0] * 3, 0.5)
+    told = for_all_joints(
+        request, JOINTS, 4, 5, standing=[(0.0, 0.0, 0.0)] * 3, rest=[0.0] * 3, settling=0.5
+    )
     assert told.times_ns.tolist() == [0, SECOND]
     assert told.arrays[0][0].tolist() == [1.0, 1.0, 1.0]
 

@@ -31,9 +31,11 @@ from hpid_ros.control.assembly import make_law, make_norm, make_velocity_source
 from hpid_ros.control.settings import NormSettings, VelocitySettings
 from hpid_ros.messages.series import JointSeries, Retune, RunSeries
 from hpid_ros.metrics.comparison import Comparison, fold_repeats
+from hpid_ros.metrics.gain_signals import gain_signals
 from hpid_ros.metrics.indices import chatter, l2_norm
-from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, gain_signals, norm_over_joints
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.quantities import ITAE, IVC
+from hpid_ros.metrics.run_numbers import run_indices
+from hpid_ros.metrics.signals import Signal, envelope, norm_over_joints
 
 pytestmark = pytest.mark.slow
 
@@ -410,7 +412,8 @@ def test_the_error_rate_is_the_references_rate_minus_the_velocity():
         return gain_signals(RunSeries("x", (series,)), {"joint0": settings})["joint0"].norm.values
 
     along = norm_of(reference - 0.3, reference)
-    assert np.allclose(along[1:], make_norm(settings)(0.3, 0.0), rtol=1e-6)
+    # The velocity is a difference, half a period late; the reference's rate is not.
+    assert np.allclose(along[1:], make_norm(settings)(0.3, 0.0), rtol=1e-3)
     jump = norm_of(0.0 * t, 1.0 * (t > 1.0))
     assert jump.max() == pytest.approx(make_norm(settings)(1.0, 0.0))  # a jump has no rate
 

@@ -14,8 +14,9 @@ from hpid_bench.report.page import render_report
 from hpid_ros.base.text import shown
 from hpid_ros.messages.series import JointSeries, Losses, Retune, RunSeries, SeriesError
 from hpid_ros.metrics.comparison import Comparison, answer
-from hpid_ros.metrics.quantities import GainSignals, Signal
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.gain_signals import GainSignals
+from hpid_ros.metrics.run_numbers import run_indices
+from hpid_ros.metrics.signals import Signal
 from hpid_ros.metrics.texts import format_values
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}

@@ -11,7 +11,7 @@ from harness.runs import response
 from hpid_bench.report.page import render_report
 from hpid_ros.messages.series import Retune
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.results import run_indices
+from hpid_ros.metrics.run_numbers import run_indices
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.robot.compensation import (
     Compensator,

@@ -13,7 +13,7 @@ from hpid_bench.experiment.batch import TOTAL, RunTask, WorldKeeper, simulated
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.in_process import controllers_document
 from hpid_ros.base.errors import GainError, SettingError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.assembly import soft_stop_gains
 from hpid_ros.control.loop_state import LoopMode

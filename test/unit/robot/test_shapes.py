@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hpid_ros.base.errors import RobotDescriptionError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.kinematics import Kinematics, link_poses
 from hpid_ros.robot.shapes import PLAIN, drawn_shapes

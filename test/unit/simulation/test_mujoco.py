@@ -13,7 +13,7 @@ from harness.engines import needs_bullet
 from harness.worlds import JOINTS, URDF, bits_of_a_motion
 
 from hpid_ros.base.errors import RobotDescriptionError, RunError
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics

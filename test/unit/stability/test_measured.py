@@ -9,7 +9,7 @@ from harness.loops import loop_settings
 from harness.motions import excited_run, multisine, reference_column
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.resources import find_resource
 from hpid_ros.control import Gains, JointLoop
 from hpid_ros.messages.series import SeriesError, complete_run
 from hpid_ros.robot.description import RobotDescription

@@ -16,7 +16,7 @@ from hpid_bench.experiment.description import initial_inertias, load_experiment
 from hpid_bench.tuning.autotune import autotuned, effective_delay
 from hpid_bench.tuning.gain_design import RULES, pole_placement, simc
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.control import LoopSettings
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive

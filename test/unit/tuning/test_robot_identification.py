@@ -5,7 +5,8 @@ import pytest
 from harness.motions import Plant, motion, needed
 
 from hpid_bench.tuning.robot_identification import identify_robot
-from hpid_ros.messages.series import DataQuality, JointSeries, RecordingQuality, RunSeries
+from hpid_ros.messages.quality import DataQuality, RecordingQuality
+from hpid_ros.messages.series import JointSeries, RunSeries
 
 TIMES = np.arange(0.0, 8.0, 2e-3)
 PLANT = Plant(delay=0.0)

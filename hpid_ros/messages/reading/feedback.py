@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hpid_ros.messages.columns import Ordered
-from hpid_ros.messages.turns import CONTINUOUS, gaps, in_nearest_turn, unwrapped
+from hpid_ros.messages.reading.turns import CONTINUOUS, gaps, in_nearest_turn, unwrapped
 
 _STATES_LATE = 4  # by so many states a controller's stamps may be off
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.messages.columns import Integers, JointSamples, Ordered
-from hpid_ros.messages.series import SHARE_OF_RANGE, SMALL_ERROR, stretches
+from hpid_ros.messages.quality_lines import SHARE_OF_RANGE, SMALL_ERROR
+from hpid_ros.messages.series import stretches
 from hpid_ros.motion.joint_trajectory import (
     Column,
     Knot,
