@@ -25,9 +25,10 @@ import numpy as np
 import yaml
 
 from hpid_bench.experiment.description import Experiment, following_loops, load_experiment
-from hpid_bench.tuning.identify import JointIdentification, identify
-from hpid_bench.tuning.joint_record import JointRecord
-from hpid_bench.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
+from hpid_bench.tuning.identification.identify import identify
+from hpid_bench.tuning.identification.joint_identification import JointIdentification
+from hpid_bench.tuning.identification.joint_record import JointRecord
+from hpid_bench.tuning.identification.regression import COULOMB, DELAY, INERTIA, VISCOUS
 from hpid_ros.base.resources import find_resource
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.motion.excitation import Design, JointBounds, Wish, plan

@@ -28,7 +28,7 @@ from benchmarks import strange_plants
 from hpid_bench.experiment.description import Experiment, load_experiment
 from hpid_bench.experiment.in_process import NoProgress, controllers_text, run_without_ros
 from hpid_bench.tuning.upgrade import GOALS
-from hpid_bench.tuning.upgrade_from_bag import BagUpgrade, upgrade_from_bag
+from hpid_bench.tuning.upgrade_from_bag import BagUpgrade, UpgradeRequest, upgrade_from_bag
 from hpid_bench.tuning.upgrade_prediction import (
     HOLDS_WITHIN,
     Prediction,
@@ -147,13 +147,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _row(robot: str, seed: int, travelled: Travelled) -> str:
     found, prediction, verification = travelled[1:]
-    homogeneous = sum(each.is_homogeneous for each in found.settings)
+    homogeneous = sum(each.is_homogeneous for each in found.tried.settings)
     cells = [
         robot,
         str(seed),
         travelled.motion,
         found.goal,
-        f"{homogeneous} of {len(found.settings)}",
+        f"{homogeneous} of {len(found.tried.settings)}",
     ]
     for index in (IVC, ITAE):
         held = verification.totals[index.key]
@@ -170,11 +170,12 @@ def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
         before, after = Path(folder) / "before", Path(folder) / "after"
         drawn.record(drawn.controllers, before, seed)
         goal = goal or drawn.goal
-        found = upgrade_from_bag(before, drawn.given, "drawn.urdf", goal)
+        request = UpgradeRequest(before, drawn.given, "drawn.urdf", goal)
+        found = upgrade_from_bag(request)
         if found.is_kept and goal == "balanced":
-            found = upgrade_from_bag(before, drawn.given, "drawn.urdf", "smooth")
+            found = upgrade_from_bag(replace(request, goal="smooth"))
         prediction = found.prediction
-        new = {each.joint: each for each in found.settings}
+        new = {each.joint: each for each in found.tried.settings}
         proposed = [new.get(each.joint, each) for each in drawn.controllers]
         drawn.record(proposed, after, seed + 1_000_000)
         return Travelled(drawn.motion, found, prediction, verify(prediction, before, after))

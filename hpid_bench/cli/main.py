@@ -5,17 +5,45 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 
-from hpid_bench.cli import arguments, robot_arguments
-from hpid_bench.cli.arguments import COMMANDS, Parser
+from hpid_bench.cli import experiment_arguments, recording_arguments, robot_arguments
 from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED, UNREAD
+from hpid_bench.cli.parser import COMMANDS, Parser, overview
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.base.libraries import optional_libraries, require_ros
 from hpid_ros.base.processes import heed_interrupts
 from hpid_ros.base.text import shown
+
+# Which function declares what a subcommand takes.
+_DECLARATIONS: Mapping[str, Callable[[Parser], None]] = {
+    "compare": experiment_arguments.compare,
+    "run": experiment_arguments.run,
+    "sweep": experiment_arguments.sweep,
+    "study": experiment_arguments.study,
+    "tune": experiment_arguments.tune,
+    "gains": experiment_arguments.gains,
+    "play": experiment_arguments.play,
+    "schema": experiment_arguments.schema,
+    "doctor": experiment_arguments.doctor,
+    "completion": experiment_arguments.completion,
+    "metrics": recording_arguments.metrics,
+    "replay": recording_arguments.replay,
+    "repair": recording_arguments.repair,
+    "figures": recording_arguments.figures,
+    "render": recording_arguments.render,
+    "robot": robot_arguments.robot,
+    "excite": robot_arguments.excite,
+    "identify": robot_arguments.identify,
+    "check-gains": robot_arguments.check_gains,
+    "margins": robot_arguments.margins,
+    "upgrade": robot_arguments.upgrade,
+    "autotune": robot_arguments.autotune,
+    "live": robot_arguments.live,
+    "export": robot_arguments.export,
+}
 
 # Subcommands that share a module, with their functions; every other one is ``run`` of its own.
 _TOGETHER = {
@@ -32,9 +60,9 @@ def main(args: Sequence[str] | None = None) -> int:
     if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next
         import argcomplete
 
-        argcomplete.autocomplete(_parser(list(arguments.COMMANDS)))
+        argcomplete.autocomplete(_parser(list(COMMANDS)))
     if not args:
-        print(arguments.overview(), end="")
+        print(overview(), end="")
         return DONE
     options = _parser(args).parse_args(args)
     if options.command == "completion":
@@ -92,7 +120,7 @@ def _run(options: argparse.Namespace) -> int:
 
 class _Umbrella(argparse.ArgumentParser):
     def format_help(self) -> str:
-        return arguments.overview()
+        return overview()
 
 
 def _parser(args: Sequence[str]) -> argparse.ArgumentParser:
@@ -106,9 +134,7 @@ def _parser(args: Sequence[str]) -> argparse.ArgumentParser:
         command = commands.add_parser(name)
         if name in args:
             command.shows_all = "--help-all" in args
-            function = name.replace("-", "_")
-            module = arguments if hasattr(arguments, function) else robot_arguments
-            getattr(module, function)(command)
+            _DECLARATIONS[name](command)
     return parser
 
 

@@ -5,25 +5,21 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import ParameterEvent as ParameterEventMessage
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future as RosFuture
 
@@ -37,14 +33,11 @@ from hpid_bench.live.controllers import (
     RunningGraph,
     Samples,
 )
-from hpid_bench.live.history import JointHistory
 from hpid_bench.live.streams import ControllerTopics, Topic, Watching, controller_topics
-from hpid_ros.base.errors import HpidError, MessageError, RunError, unknown_name
-from hpid_ros.control.controller_files import settings_from_parameters
-from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
-from hpid_ros.messages.reading.topic_choice import is_below
+from hpid_ros.base.errors import HpidError, MessageError, unknown_name
+from hpid_ros.control.settings import PARAMETERS, Value
 from hpid_ros.messages.reports import decode_parameter_event
-from hpid_ros.nodes.core.middleware import RARE, destroy_when_quiet, load_profile, steady_timer
+from hpid_ros.nodes.core.middleware import RARE, steady_timer
 
 _TICK = 0.05  # [s]
 _LOOK_PERIOD, _FIRST_LOOKS, _AT_FIRST = 1.0, 0.25, 5.0  # [s]
@@ -550,86 +543,3 @@ def parameter(name: str, value: object) -> Parameter:
     if spec is not None and isinstance(spec.default, float) and is_whole:
         value = float(value)  # type: ignore[arg-type]
     return Parameter(name, value=value)
-
-
-_QUIET_FOR = 1.0  # [s] without a new node, after which the graph is taken as known
-_FOUND_WITHIN = 12.0  # [s]; on a busy machine other nodes are found before the controllers
-_STATES_WITHIN = 3.0  # [s] for the first state
-_LISTENS_FOR = 0.5  # [s] from then on
-
-Spin = Callable[[Callable[[], bool], float], None]
-"""Goes on until a condition holds, or for so long, in [s]."""
-
-
-@contextmanager
-def _reading(namespace: str) -> Iterator[tuple[GraphClient, Spin, dict[str, dict[str, Any]]]]:
-    """Yield a client, and the parameters of all controllers that it has found, by their nodes."""
-    load_profile()
-    context = rclpy.Context()
-    try:
-        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-        node = Node("hpid_graph_reader", context=context, enable_rosout=False)
-    except RuntimeError as error:
-        raise RunError(f"cannot read the running graph: {' '.join(str(error).split())}") from None
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    client = GraphClient(node)
-
-    def spin(condition: Callable[[], bool], within: float) -> None:
-        deadline = time.monotonic() + within
-        while not condition() and time.monotonic() < deadline:
-            executor.spin_once(timeout_sec=0.05)
-
-    def found() -> dict[str, dict[str, Any]]:
-        every = client.parameters()
-        return {name: every[name] for name in every if is_below(name, namespace)}
-
-    try:
-        spin(lambda: bool(found()) and client.is_quiet(_QUIET_FOR), _FOUND_WITHIN)
-        yield client, spin, found()
-    finally:
-        client.close()
-        executor.shutdown()
-        destroy_when_quiet(node)
-        context.try_shutdown()
-
-
-def running_loops(namespace: str = "") -> dict[str, LoopSettings]:
-    """Return the settings of all running controllers by the names of their nodes."""
-    with _reading(namespace) as (_, _, found):
-        return _loops(found, namespace)
-
-
-def _loops(found: Mapping[str, Mapping[str, Any]], namespace: str) -> dict[str, LoopSettings]:
-    document = {name: {"ros__parameters": each} for name, each in found.items()}
-    return settings_from_parameters(document, f"the running graph {namespace}".rstrip())
-
-
-def running_graph(states: str = "joint_states", namespace: str | None = None) -> RunningGraph:
-    """Return what runs, and where the joints are by a topic of states."""
-    below = f"/{namespace.strip('/')}" if namespace else ""
-    with _reading(below) as (client, spin, found):
-        _loops(found, below)
-        controllers = [Controller.of(name, each) for name, each in found.items()]
-        state_of = _listened(client._node, controllers, states, spin)
-        return client.running(list(found), state_of, states)
-
-
-def _listened(node: Node, controllers: Sequence[Controller], states: str, spin: Spin) -> StateOf:
-    """Return what returns positions and mean efforts of joints."""
-    watching = Watching(node)
-    watching.watch(
-        {each.node: ControllerTopics.usual(each.node, each.joint, states) for each in controllers}
-    )
-    histories = {each.node: JointHistory(each.settings) for each in controllers}
-
-    def has_states() -> bool:
-        for name, samples in watching.take().items():
-            histories[name].append(samples)
-        return any(each.position is not None for each in histories.values())
-
-    spin(has_states, _STATES_WITHIN)
-    spin(lambda: False, _LISTENS_FOR)
-    has_states()
-    watching.close()
-    return lambda name: histories[name].state

@@ -23,9 +23,10 @@ from typing import IO, Any, Literal, NamedTuple
 from hpid_bench.experiment.processes import NodeGroup, NodeProcess, Process, parameters
 from hpid_bench.live.controllers import Controller, RunningGraph
 from hpid_bench.tuning.autotune import RelayCycle, relay_cycle
-from hpid_bench.tuning.identify import JointIdentification, identify
-from hpid_bench.tuning.joint_record import JointRecord
-from hpid_bench.tuning.regression import DELAY, INERTIA
+from hpid_bench.tuning.identification.identify import identify
+from hpid_bench.tuning.identification.joint_identification import JointIdentification
+from hpid_bench.tuning.identification.joint_record import JointRecord
+from hpid_bench.tuning.identification.regression import DELAY, INERTIA
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
 from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.messages.run import read_run

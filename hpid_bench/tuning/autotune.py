@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hpid_bench.tuning.gain_design import simc
-from hpid_bench.tuning.joint_record import JointRecord
+from hpid_bench.tuning.identification.joint_record import JointRecord
 from hpid_bench.tuning.upgrade import Upgrade, upgrade
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.rounding import significant

@@ -379,7 +379,7 @@ class _Collector:
                 ended = Instruction(place, driven(None), f"{ALLOW_RELAY} = False")
                 joint.instructions.append(ended)
             if values:
-                joint.changes.append((place, values))
+                joint.changes.append((place, dict(values)))
 
 
 def _place(each: RecordedState | RecordedCommand | Instruction) -> int:

@@ -22,9 +22,9 @@ from hpid_bench.report.page import (
     page_figures,
     render_page,
 )
-from hpid_bench.tuning.identify import JointIdentification
-from hpid_bench.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
-from hpid_bench.tuning.upgrade import upgrade_text
+from hpid_bench.tuning.identification.joint_identification import JointIdentification
+from hpid_bench.tuning.identification.regression import COULOMB, DELAY, INERTIA, VISCOUS
+from hpid_bench.tuning.upgrade_file import upgrade_text
 from hpid_bench.tuning.upgrade_from_bag import BagUpgrade
 from hpid_bench.tuning.upgrade_prediction import Expected, Prediction
 from hpid_ros import __version__
@@ -41,9 +41,13 @@ _HALF = 0.5
 
 def first_steps(found: BagUpgrade, files: Mapping[str, Path]) -> list[tuple[str, Sequence[str]]]:
     """Return what to do, each in words and as lines of commands, if there are any."""
-    bag, robot = (shlex.quote(str(each)) for each in (found.bag, found.urdf))
-    params = f" --params {shlex.quote(str(found.parameters))}" if found.parameters else ""
-    payload = f" --payload {found.payload:g}" if found.payload else ""
+    bag, robot = (shlex.quote(str(each)) for each in (found.request.bag, found.request.robot_name))
+    params = (
+        f" --params {shlex.quote(str(found.request.parameters))}"
+        if found.request.parameters
+        else ""
+    )
+    payload = f" --payload {found.request.payload:g}" if found.request.payload else ""
     again = f"hpid upgrade {bag} --urdf {robot}{params}{payload}"
     if not found.prediction.is_credible:
         return [
@@ -53,7 +57,7 @@ def first_steps(found: BagUpgrade, files: Mapping[str, Path]) -> list[tuple[str,
             ),
             ("See whether the parameters are those that ran.", (f"hpid replay {bag}{params}",)),
         ]
-    changed = [each for each in found.settings if each.is_homogeneous]
+    changed = [each for each in found.tried.settings if each.is_homogeneous]
     if not changed:
         return [
             ("Nothing needs to be tried: keep what you have.", ()),
@@ -62,7 +66,7 @@ def first_steps(found: BagUpgrade, files: Mapping[str, Path]) -> list[tuple[str,
                     f"To see what the goal {goal} proposes, ask for it.",
                     (f"{again} --goal {goal} -o {goal}.yaml",),
                 )
-                for goal in found.others
+                for goal in found.other_goals
             ),
         ]
     first = min(
@@ -135,7 +139,7 @@ def render(found: BagUpgrade, files: Mapping[str, Path]) -> str:
         "Provenance": [Properties.of("Provenance", _provenance(found, files))],
     }
     return render_page(
-        f"{found.bag.name}: from a PID to a homogeneous PID",
+        f"{found.request.bag.name}: from a PID to a homogeneous PID",
         summary(found),
         doubts(found),
         [expectations(found.prediction)],
@@ -155,11 +159,11 @@ def summary(found: BagUpgrade) -> str:
         )
     if found.is_kept:
         text = f"Keep your PID: the goal {found.goal} gains nothing on this robot."
-        for goal, ratios in found.others.items():
+        for goal, ratios in found.other_goals.items():
             changes = " and ".join(_change(each, ratios[each.key]) for each in (IVC, ITAE))
             text += f" The goal {goal} would bring {changes}."
         return text
-    laws = [each.is_homogeneous for each in found.settings]
+    laws = [each.is_homogeneous for each in found.tried.settings]
     which = "all joints" if all(laws) else f"{sum(laws)} of {len(laws)} joints"
     expected = " and ".join(
         _expected(each, found.prediction.total(each.key)) for each in (IVC, ITAE)
@@ -188,8 +192,8 @@ def _expected(index: Quantity, expected: Expected) -> str:
 
 def doubts(found: BagUpgrade) -> list[str]:
     """Return what the prediction must be read with, one line each."""
-    lines = list(found.warnings)
-    for name, why in found.proposals.failures.items():
+    lines = list(found.recording.warnings)
+    for name, why in found.tried.proposals.failures.items():
         lines.append(_own(found, name, f"{name} is not upgraded: {why}"))
     for joint, margins in found.margins.items():
         if isinstance(margins, str):
@@ -271,7 +275,7 @@ def _found(found: BagUpgrade) -> Iterator[Block]:
             "delay margin [ms]",
             "Ms",
         ),
-        [_checked(each, found.margins[each.joint]) for each in found.loops],
+        [_checked(each, found.margins[each.joint]) for each in found.recording.loops],
     )
     yield Paragraph(
         "Margins of the sampled loop with the delay and friction that were found, the worst of "
@@ -306,7 +310,7 @@ def _identified(found: BagUpgrade) -> PlainTable:
         for each in ("kg m^2", "N m s/rad", "N m", "rad")
     )
     ranges = {name: f"{each.least:.3g} … {each.largest:.3g}" for name, each in moved.items()}
-    noises = {name: f"{facts.noise:.2g}" for name, facts in found.model.facts.items()}
+    noises = {name: f"{facts.noise:.2g}" for name, facts in found.pid.model.facts.items()}
     columns = {
         "joint": [each.joint for each in joints],
         f"rotor [{inertia}]": [_estimate(each, INERTIA) for each in joints],
@@ -347,7 +351,7 @@ def _checked(settings: LoopSettings, margins: Margins | str) -> list[str]:
 
 def _assumed(found: BagUpgrade) -> Iterator[Block]:
     yield from (Paragraph(text) for text in ASSUMED)
-    assumed = found.model.assumptions
+    assumed = found.pid.model.assumptions
     rows = [(joint, _own(found, joint, line)) for joint in assumed for line in assumed[joint]]
     if rows:
         yield Heading("What the recording did not tell")
@@ -357,9 +361,9 @@ def _assumed(found: BagUpgrade) -> Iterator[Block]:
 
 
 def _changes(found: BagUpgrade) -> Iterator[Block]:
-    before = {each.joint: each.to_parameters() for each in found.loops}
+    before = {each.joint: each.to_parameters() for each in found.recording.loops}
     rows = []
-    for joint, each in found.proposals.found.items():
+    for joint, each in found.tried.proposals.found.items():
         for name, value in each.settings.to_parameters().items():
             was = before[joint][name]
             if _text(was) != _text(value):
@@ -370,20 +374,20 @@ def _changes(found: BagUpgrade) -> Iterator[Block]:
     )
     kept = [
         (joint, _own(found, joint, each.reasons["law"]))
-        for joint, each in found.proposals.found.items()
+        for joint, each in found.tried.proposals.found.items()
         if not each.settings.is_homogeneous
     ]
     if kept:
         yield Heading("What stays")
         yield PlainTable("What stays", ("joint", "why"), kept, is_prose=True)
-    if found.others:
+    if found.other_goals:
         yield Heading("What other goals would bring")
         yield PlainTable(
             "What other goals would bring",
             ("goal", *(f"{index.symbol} over your PID's" for index in INDICES)),
             [
                 (goal, *(format_ratio(ratios[index.key]) for index in INDICES))
-                for goal, ratios in found.others.items()
+                for goal, ratios in found.other_goals.items()
             ],
         )
     yield Paragraph("Gains, limits and everything that is not named stay as they were.")
@@ -399,12 +403,12 @@ def _text(value: object) -> str:
 
 
 def _provenance(found: BagUpgrade, files: Mapping[str, Path]) -> dict[str, object]:
-    run = found.recording
+    run = found.recording.run
     return {
         "hpid_ros": __version__,
-        "recording": str(found.bag),
+        "recording": str(found.request.bag),
         "length": f"{run.duration:.4g} s",
-        "robot": found.urdf,
+        "robot": found.request.robot_name,
         "goal": found.goal,
         **{name: path.name for name, path in files.items()},
     }
@@ -413,11 +417,11 @@ def _provenance(found: BagUpgrade, files: Mapping[str, Path]) -> dict[str, objec
 def parameter_text(found: BagUpgrade) -> str:
     """Return the parameter file of what is proposed, with what to know of each joint."""
     header = [
-        f"From {found.bag}, goal {found.goal}.",
+        f"From {found.request.bag}, goal {found.goal}.",
         *textwrap.wrap(summary(found), 96),
         "ros2 run hpid_ros joint_controllers --ros-args --params-file THIS_FILE",
     ]
-    proposed, failures = found.proposals
+    proposed, failures = found.tried.proposals
     notes = {}
     for joint, error in failures.items():
         notes[joint] = [f"NOT upgraded: {error}."]
@@ -425,6 +429,6 @@ def parameter_text(found: BagUpgrade) -> str:
         expected = ((q.symbol, found.prediction.joints[joint][q.key]) for q in INDICES)
         ratios = (f"{name} {x.ratio:.3f} ({x.low:.2f} to {x.high:.2f})" for name, x in expected)
         line = f"Expected over the PID: {', '.join(ratios)}."
-        notes[joint] = [*each.remarks, *found.model.assumptions.get(joint, ()), line]
-    written = [proposed.get(each.joint, each) for each in found.loops]
+        notes[joint] = [*each.remarks, *found.pid.model.assumptions.get(joint, ()), line]
+    written = [proposed.get(each.joint, each) for each in found.recording.loops]
     return upgrade_text(written, header, notes, frozenset(found.identification.slides))

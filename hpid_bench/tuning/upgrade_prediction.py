@@ -1,174 +1,26 @@
-"""Prediction of an upgrade: simulated on the robot's model, compared with what was measured."""
+"""The prediction of an upgrade: kept in a file, and held against what was measured."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from hpid_bench.tuning.recorded_loops import recorded_controllers
-from hpid_bench.tuning.recorded_pid import recorded_answers, recorded_motion
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.files import load_json
-from hpid_ros.base.processes import side_by_side
-from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.laws import LAWS
-from hpid_ros.control.reference import Motion
-from hpid_ros.control.settings import LoopSettings, NormSettings
+from hpid_ros.control.settings import NormSettings
 from hpid_ros.messages.messages import read_retunes
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import JointSeries, RunSeries, complete_run
 from hpid_ros.metrics.comparison import Comparison, mismatches
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure_all
 from hpid_ros.metrics.quantities import INDICES, ITAE, IVC, Quantity
 from hpid_ros.metrics.results import for_json
-from hpid_ros.motion.joint_trajectory import Column, Knot
-from hpid_ros.robot.compensation import compensators
-from hpid_ros.simulation.drives import DriveSettings
-from hpid_ros.simulation.engine import record_run
-from hpid_ros.simulation.settings import VelocityFilter, WorldSettings, default_engine
-from hpid_ros.simulation.world import World
-
-_STEP_DURATION = 3.0  # [s]
-_LONGEST_GAP = 1.0
-"""Between two recorded states, in [s]: beyond it the motion between them is anybody's guess."""
-PHYSICS_STEPS = 2
-"""In a control period: half the time of four, and no ratio moved by more than 0.01."""
-
-
-class JointFacts(NamedTuple):
-    """What is known of a joint's drive and sensor, which no URDF says."""
-
-    delay: int = 0  # by which its efforts act late, in control periods
-    noise: float = 0.0  # [rad] standard deviation of what is added to its position
-    resolution: float | None = None  # [rad] smallest step of its measured position
-    velocity: VelocityFilter = VelocityFilter()  # how its driver reports velocities, if it does
-    integral: float | None = None  # [N m] with which its PID began; None to look for it
-
-
-def simulate(
-    robot: str,
-    loops: Mapping[str, Sequence[LoopSettings]],
-    recorded: Sequence[JointSeries],
-    fixed_base: bool = False,
-    initial_positions: Mapping[str, float] | None = None,
-    *,
-    facts: Mapping[str, JointFacts] | None = None,
-    period: float | None = None,
-    has_velocities: bool = False,
-    engine: str | None = None,
-) -> list[RunSeries]:
-    """Simulate controllers on a robot, side by side on the machine's cores.
-
-    The reference is the recorded one, from the recorded start; without a recording each joint
-    steps by its ``norm.error_scale`` from where it starts.
-    """
-    first = next(iter(loops.values()))
-    joints = tuple(each.joint for each in first)
-    series = {each.joint: each for each in recorded if each.joint in joints}
-    for each in series.values():
-        _require_one_motion(each)
-    start = dict(initial_positions or {})
-    start |= {name: float(each.position[0]) for name, each in series.items()}
-    period_ns = round((period or first[0].timing.control_period) * NANOSECONDS)
-    known = [(facts or {}).get(joint, JointFacts()) for joint in joints]
-    world = WorldSettings(
-        robot_description=robot,
-        joints=joints,
-        control_period_ns=period_ns,
-        initial_positions=start,
-        fixed_base=fixed_base,
-        encoder_counts=tuple(map(_counts, first, known)),
-        physics_steps=PHYSICS_STEPS,
-        position_noise=tuple(each.noise for each in known),
-        drives=tuple(DriveSettings(delay=each.delay) for each in known),
-        velocity_filters=tuple(each.velocity for each in known),
-        initial_efforts=tuple(_first_effort(series.get(joint)) for joint in joints),
-        velocity="differences" if has_velocities else "none",
-        engine=engine or default_engine(),
-    )
-    motions = {
-        each.joint: _motion(each, series.get(each.joint), start.get(each.joint, 0.0))
-        for each in first
-    }
-    duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
-    periods = math.floor(duration * NANOSECONDS / period_ns)
-    integrals = {
-        each.joint: _integral(each, known_one, series.get(each.joint))
-        for each, known_one in zip(first, known, strict=True)
-    }
-    work = partial(_run, world=world, motions=motions, integrals=integrals, periods=periods)
-    found = dict(side_by_side(work, list(loops.items()), name=itemgetter(0)))
-    return [found[place] for place in range(len(loops))]
-
-
-def _first_effort(series: JointSeries | None) -> float:
-    return float(series.effort[0]) if series is not None and series.has_effort else 0.0
-
-
-def _integral(settings: LoopSettings, known: JointFacts, series: JointSeries | None) -> float:
-    if known.integral is not None or series is None:
-        return known.integral or 0.0
-    return recorded_answers(settings, series, {}).integral
-
-
-def _require_one_motion(series: JointSeries) -> None:
-    """Refuse a recording that cannot be simulated as one motion."""
-    steps = np.diff(series.state_stamps_ns)
-    if not len(steps) or (longest := int(steps.max())) <= _LONGEST_GAP * NANOSECONDS:
-        return
-    at = float(series.time[int(steps.argmax())])
-    raise SettingError(
-        f"{series.joint!r} has no state for {longest / NANOSECONDS:.3g} s from {at:.3f} s on: "
-        "messages are missing, or the clock was set; to be simulated, a recording may have no "
-        f"gap above {_LONGEST_GAP:g} s"
-    )
-
-
-def _run(
-    task: tuple[str, Sequence[LoopSettings]],
-    world: WorldSettings,
-    motions: Mapping[str, Column],
-    integrals: Mapping[str, float],
-    periods: int,
-) -> RunSeries:
-    label, settings = task
-    loops = [JointLoop(each) for each in settings]
-    for loop in loops:
-        motion: Motion = motions[loop.settings.joint]
-        loop.begin_with(integrals[loop.settings.joint])
-        loop.follow(motion)
-    with World(world) as robot:
-        models = compensators(settings, str(world.robot_description))
-        stamps_ns, *columns = record_run(robot, loops, periods, models)
-        slides = robot.description.slides
-    return complete_run(label, world.joints, stamps_ns, columns, slides)
-
-
-def _motion(settings: LoopSettings, series: JointSeries | None, start: float) -> Column:
-    """Return the recorded reference, none to hold, or without a recording a step, in [rad]."""
-    if series is None:
-        return Column(settings.joint, (Knot(0, start + settings.norm_family.error_scale),))
-    if not series.has_reference:
-        return Column(settings.joint, (Knot(0, start),))
-    stamps = series.state_stamps_ns - series.state_stamps_ns[0]
-    return recorded_motion(settings.joint, stamps, series.reference)
-
-
-def _counts(settings: LoopSettings, known: JointFacts) -> int:
-    own = known.resolution
-    resolution = settings.encoder.resolution if own is None else own
-    return round(math.tau / resolution) if resolution > 0.0 else 0
-
 
 KIND = "hpid_ros/prediction"
 """What a file of this kind says it is."""

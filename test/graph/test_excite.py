@@ -25,8 +25,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from hpid_bench.cli.commands.motions import agreed
 from hpid_bench.cli.main import main
 from hpid_bench.cli.options import parameter_file
-from hpid_bench.live.graph_client import running_graph
 from hpid_bench.live.motion import bounds_of, carry_out, carry_out_relay, chosen, relay_findings
+from hpid_bench.live.running_controllers import running_graph
 from hpid_ros.base.errors import SettingError
 from hpid_ros.messages.run import read_run
 from hpid_ros.motion.excitation import Design, RelayWish, Wish, plan, planned_relay

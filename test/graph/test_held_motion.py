@@ -16,8 +16,8 @@ from harness.graph import change, state
 from harness.turntable import INERTIA, positions, start_turntable, wait_for_rest
 
 from hpid_bench.live.exciter import DeadMan
-from hpid_bench.live.graph_client import running_graph
 from hpid_bench.live.motion import HELD_WITHIN, Button, HeldMotion, bounds_of, chosen
+from hpid_bench.live.running_controllers import running_graph
 from hpid_ros.base.errors import RunError
 from hpid_ros.motion.excitation import Design, Wish, plan
 

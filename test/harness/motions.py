@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpid_bench.tuning.joint_record import JointRecord
+from hpid_bench.tuning.identification.joint_record import JointRecord
 from hpid_ros.control import JointLoop
 from hpid_ros.messages.series import complete_run
 from hpid_ros.motion import Column, Knot

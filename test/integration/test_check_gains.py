@@ -8,7 +8,7 @@ from harness.studies import compared
 
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.main import main
-from hpid_bench.live import graph_client
+from hpid_bench.live import running_controllers
 from hpid_ros.base.resources import share_folder
 from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.closed_loop import Certificate
@@ -89,7 +89,7 @@ def test_running_controllers_are_found_and_checked(harness, capsys):
 
 
 def test_an_empty_graph_is_said(harness, monkeypatch, refused):
-    monkeypatch.setattr(graph_client, "_FOUND_WITHIN", 1.0)
+    monkeypatch.setattr(running_controllers, "_FOUND_WITHIN", 1.0)
     assert "the running graph has no joint controller" in refused("check-gains", "--live")
 
 

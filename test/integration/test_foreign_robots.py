@@ -17,8 +17,10 @@ from hpid_bench.cli.main import main
 from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.in_process import write_run_files
-from hpid_bench.tuning.upgrade import Upgrade, upgrade_text
-from hpid_bench.tuning.upgrade_prediction import simulate as simulate_loops
+from hpid_bench.tuning.loop_simulation import RobotSimulation
+from hpid_bench.tuning.loop_simulation import simulate as simulate_loops
+from hpid_bench.tuning.upgrade import Upgrade
+from hpid_bench.tuning.upgrade_file import upgrade_text
 from hpid_ros.base.errors import ExperimentError, RobotDescriptionError
 from hpid_ros.base.records import Section
 from hpid_ros.base.resources import (
@@ -82,7 +84,9 @@ def box(mesh: str) -> str:
 
 @needs_bullet
 def test_robots_of_python_packages_are_found_without_importing_them():
-    code = f"import sys; from hpid_ros.base.files import find_resource; find_resource({IIWA!r});"
+    code = (
+        f"import sys; from hpid_ros.base.resources import find_resource; find_resource({IIWA!r});"
+    )
     code += "sys.exit(bool({'pybullet', 'pybullet_data'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     path = find_resource(IIWA)
@@ -257,11 +261,13 @@ def test_predictions_start_where_the_experiment_does():
     experiment = load_experiment(EXPERIMENTS / "panda.yaml")
     world = experiment.world
     (predicted,) = simulate_loops(
-        str(world.robot_description),
+        RobotSimulation(
+            str(world.robot_description),
+            fixed_base=True,
+            initial_positions=world.initial_positions,
+        ),
         {"PID": experiment.controllers["PID"]},
         (),
-        fixed_base=True,
-        initial_positions=world.initial_positions,
     )
     # A step of the error scale, 0.1 rad, is over in a second; an arm that falls over with its
     # base, or that starts from another pose, is not (0.4 and more in the worst joint).

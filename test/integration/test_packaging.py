@@ -76,7 +76,7 @@ def test_an_installed_executable_finds_its_share_folder(installed, tmp_path):
     """Run from elsewhere, with the install tree sourced, as ros2 run does."""
     script = (
         f". {installed}/share/hpid_ros/package.sh && {installed}/lib/hpid_ros/hpid --version && "
-        f"{sys.executable} -c 'from hpid_ros.base.files import share_folder as s; print(s())'"
+        f"{sys.executable} -c 'from hpid_ros.base.resources import share_folder as s; print(s())'"
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     environment["COLCON_CURRENT_PREFIX"] = str(installed)

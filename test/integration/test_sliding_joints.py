@@ -387,7 +387,12 @@ def test_what_stays_is_explained_in_units_of_the_joint():
     kept = Upgrade(loop, (0.0, 0.0), (2.5, 2.5), {"law": "2.5 to 2.5 kg m^2"})
     slides = SimpleNamespace(slides=("lift",))
     proposals = Proposals({"lift": kept}, {})
-    found = SimpleNamespace(loops=[loop], proposals=proposals, identification=slides, others={})
+    found = SimpleNamespace(
+        recording=SimpleNamespace(loops=[loop]),
+        tried=SimpleNamespace(proposals=proposals),
+        identification=slides,
+        other_goals={},
+    )
     _, _, stays, *_ = _changes(found)
     assert stays.rows == [("lift", "2.5 to 2.5 kg")]
 

@@ -19,17 +19,11 @@ from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_bench.cli.commands import upgrade as command_module
 from hpid_bench.cli.main import main
 from hpid_bench.cli.options import inertias_from, parameter_file
-from hpid_bench.tuning.robot_identification import visited_poses
-from hpid_bench.tuning.upgrade import (
-    Candidate,
-    effort_scale,
-    loop_statistics,
-    upgrade,
-    upgrade_text,
-    upgrades,
-    worthwhile,
-)
-from hpid_bench.tuning.upgrade_prediction import simulate
+from hpid_bench.tuning.identification.robot_identification import visited_poses
+from hpid_bench.tuning.loop_simulation import simulate
+from hpid_bench.tuning.loop_statistics import loop_statistics
+from hpid_bench.tuning.upgrade import Candidate, effort_scale, upgrade, upgrades, worthwhile
+from hpid_bench.tuning.upgrade_file import upgrade_text
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.control import Gains
 from hpid_ros.control.assembly import make_law
@@ -399,7 +393,9 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(
 ):
     is_held = []
     monkeypatch.setattr(
-        command_module, "simulate", lambda *given: is_held.append(given[3]) or simulate(*given)
+        command_module,
+        "simulate",
+        lambda robot, *given: is_held.append(robot.fixed_base) or simulate(robot, *given),
     )
     file = tmp_path / "upgraded.yaml"
     parameters = result / "controllers.yaml"

@@ -19,9 +19,9 @@ from harness.c_loops import CLibrary, CLoop, parameters_by_chance, states_by_cha
 from harness.loops import IN_EFFORT, OTHER_VALUES, STOPS, TURNS, loop_settings
 from harness.places import ROOT
 from harness.runs import response
+from hpid_bench.cli.arguments import Parser
 
 from hpid_bench.cli import robot_arguments
-from hpid_bench.cli.arguments import Parser
 from hpid_bench.tuning.export import FIELDS, GivenLoop, exported_values
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control.laws import LAWS, LawName
@@ -30,7 +30,8 @@ from hpid_ros.control.settings import PARAMETERS, LoopSettings
 from hpid_ros.metrics import quantities
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import QUANTITIES, Quantity
-from hpid_ros.metrics.results import run_indices, runs_from_mapping
+from hpid_ros.metrics.run_numbers import run_indices
+from hpid_ros.metrics.saved_results import runs_from_mapping
 from hpid_ros.metrics.texts import table_csv, table_json, table_lines
 from hpid_ros.stability.closed_loop import Certificate, CertifiedSpan, unit_curve
 

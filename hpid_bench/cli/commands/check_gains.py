@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from rich.console import RenderableType, group
 from rich.text import Text
 
-from hpid_bench.cli.arguments import GAIN_OPTIONS
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.options import (
     JointPlants,
@@ -26,6 +25,7 @@ from hpid_bench.cli.options import (
     sliding_joints,
     warn_unlimited,
 )
+from hpid_bench.cli.robot_arguments import GAIN_OPTIONS
 from hpid_bench.cli.terminal import output_console
 from hpid_bench.experiment.description import Experiment, initial_inertias
 from hpid_bench.report.console import TextConsole
@@ -198,7 +198,7 @@ def _loops(options: argparse.Namespace) -> tuple[Experiment | None, ParameterFil
             "check-gains needs one source: a FILE, --live, or gains given as --p --i --d"
         )
     if options.live:
-        from hpid_bench.live.graph_client import running_loops
+        from hpid_bench.live.running_controllers import running_loops
 
         return None, ParameterFile(running_loops(), {})
     if options.file:

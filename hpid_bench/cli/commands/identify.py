@@ -14,14 +14,18 @@ from hpid_bench.cli.commands.metrics import bag_selection
 from hpid_bench.cli.options import load_robot, write_output
 from hpid_bench.cli.terminal import output_console, reading
 from hpid_bench.report.figures import require_picture
-from hpid_bench.tuning.identification_report import (
+from hpid_bench.tuning.identification.identification_report import (
     as_mapping,
     experiment_text,
     identification_figure,
     report,
 )
-from hpid_bench.tuning.identify import Method
-from hpid_bench.tuning.robot_identification import RobotIdentification, base_motion, identify_robot
+from hpid_bench.tuning.identification.identify import Method
+from hpid_bench.tuning.identification.robot_identification import (
+    RobotIdentification,
+    base_motion,
+    identify_robot,
+)
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_outputs
 from hpid_ros.base.names import NamePatterns

@@ -20,7 +20,6 @@ from hpid_bench.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_bench.cli.options import inertias_from, write_output
 from hpid_bench.cli.terminal import output_console
 from hpid_bench.live.controllers import Controller, RunningGraph
-from hpid_bench.live.graph_client import running_graph
 from hpid_bench.live.motion import (
     RelayFindings,
     Tell,
@@ -30,12 +29,13 @@ from hpid_bench.live.motion import (
     chosen,
     relay_findings,
 )
+from hpid_bench.live.running_controllers import running_graph
 from hpid_bench.report.figures import require_picture
 from hpid_bench.report.table import TableColumn, WideTable
 from hpid_bench.tuning.autotune import Autotuned, autotuned
-from hpid_bench.tuning.identification_report import excitation_figure
-from hpid_bench.tuning.regression import COULOMB, VISCOUS
-from hpid_bench.tuning.upgrade import controller_section
+from hpid_bench.tuning.identification.identification_report import excitation_figure
+from hpid_bench.tuning.identification.regression import COULOMB, VISCOUS
+from hpid_bench.tuning.upgrade_file import controller_section
 from hpid_ros.base.errors import ResultExistsError, SettingError
 from hpid_ros.base.files import refuse_output
 from hpid_ros.base.text import shown

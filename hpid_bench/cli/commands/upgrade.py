@@ -28,17 +28,18 @@ from hpid_bench.cli.options import (
 from hpid_bench.cli.terminal import output_console
 from hpid_bench.report.console import TextConsole
 from hpid_bench.report.table import ComparisonTable, TableColumn, WideTable
-from hpid_bench.tuning.robot_identification import as_recorded, visited_poses
+from hpid_bench.tuning.identification.robot_identification import as_recorded, visited_poses
+from hpid_bench.tuning.loop_simulation import RobotSimulation, simulate
 from hpid_bench.tuning.upgrade import (
     GOALS,
     Certifying,
     Upgrade,
     effort_limits,
     propose,
-    upgrade_text,
     worthwhile,
 )
-from hpid_bench.tuning.upgrade_from_bag import BagUpgrade, upgrade_from_bag
+from hpid_bench.tuning.upgrade_file import upgrade_text
+from hpid_bench.tuning.upgrade_from_bag import BagUpgrade, UpgradeRequest, upgrade_from_bag
 from hpid_bench.tuning.upgrade_page import doubts, parameter_text, render, summary
 from hpid_bench.tuning.upgrade_prediction import (
     HOLDS_WITHIN,
@@ -46,7 +47,6 @@ from hpid_bench.tuning.upgrade_prediction import (
     Held,
     Verification,
     read_prediction,
-    simulate,
     verify,
 )
 from hpid_ros.base.errors import SettingError
@@ -107,17 +107,20 @@ def _of_bag(options: argparse.Namespace) -> int:
         parameter_file(options.params)  # for what it says of ros2_control's own
     robot = _robot(options.urdf)
     errors = TextConsole(stderr=True)
-    found = upgrade_from_bag(
-        options.file,
-        robot,
-        options.urdf,
-        options.goal,
-        options.params,
-        options.payload,
-        lambda phase: errors.print(phase, style="dim"),
-        _certifying(errors),
+    request = UpgradeRequest(
+        bag=options.file,
+        robot=robot,
+        robot_name=options.urdf,
+        goal=options.goal,
+        parameters=options.params,
+        payload=options.payload,
     )
-    warn_unlimited(robot.description, found.loops)
+    found = upgrade_from_bag(
+        request,
+        phase=lambda name: errors.print(name, style="dim"),
+        certifying=_certifying(errors),
+    )
+    warn_unlimited(robot.description, found.recording.loops)
     prediction, contents = found.prediction, {"page": render(found, files)}
     if prediction.is_credible:
         contents = {"parameters": parameter_text(found), **contents}
@@ -134,7 +137,7 @@ def _of_bag(options: argparse.Namespace) -> int:
     console.print("")
     for name in contents:
         console.print(f"written: {files[name]}", soft_wrap=True)
-    return FAILED if found.proposals.failures or not prediction.is_credible else DONE
+    return FAILED if found.tried.proposals.failures or not prediction.is_credible else DONE
 
 
 def _files(options: argparse.Namespace) -> dict[str, Path]:
@@ -165,10 +168,10 @@ def _files(options: argparse.Namespace) -> dict[str, Path]:
 
 
 def _table(found: BagUpgrade) -> WideTable:
-    names = [each.joint for each in found.settings]
+    names = [each.joint for each in found.tried.settings]
     laws = [
         f"mu {each.mu:+.2f}" if each.is_homogeneous else LAWS[each.law].title
-        for each in found.settings
+        for each in found.tried.settings
     ]
     columns = [TableColumn("law", [*laws, ""])]
     for index in INDICES:
@@ -275,9 +278,8 @@ def _of_file(options: argparse.Namespace) -> int:
         with errors.status(phase):
             if not errors.is_terminal:
                 errors.print(phase)
-            runs = simulate(
-                robot.source, both, recorded, robot.fixed_base, robot.initial_positions
-            )
+            simulation = RobotSimulation(robot.source, robot.fixed_base, robot.initial_positions)
+            runs = simulate(simulation, both, recorded)
             comparison = Comparison(tuple(map(run_indices, runs)))
     notes = {joint: [f"NOT upgraded: {error}."] for joint, error in failures.items()}
     for joint, each in proposals.items():

@@ -10,7 +10,7 @@ import pytest
 from harness.loops import Joint, pure_loop
 
 from hpid_bench.tuning.autotune import relay_cycle
-from hpid_bench.tuning.joint_record import JointRecord
+from hpid_bench.tuning.identification.joint_record import JointRecord
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import Gains, JointLoop, LoopSettings, ModelTerm
 from hpid_ros.control.overrides import DONE, LONGEST, RelayRequest

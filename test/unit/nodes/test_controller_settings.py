@@ -6,7 +6,7 @@ import pytest
 from rclpy.parameter import Parameter
 
 from hpid_bench.tuning.recorded_loops import controllers_of
-from hpid_ros.base.files import share_folder
+from hpid_ros.base.resources import share_folder
 from hpid_ros.control.settings import LARGEST_EFFORT
 from hpid_ros.nodes.parts.controller import ControllerSettings
 

@@ -10,10 +10,14 @@ from rich.console import Console
 
 from benchmarks.strange_plants import GRAVITY, PLANTS
 from benchmarks.strange_plants import Motion as MovingPlant
-from hpid_bench.tuning.identification_report import as_mapping, experiment_text, report
-from hpid_bench.tuning.identify import Method, identify
-from hpid_bench.tuning.joint_record import JointRecord
-from hpid_bench.tuning.robot_identification import RobotIdentification
+from hpid_bench.tuning.identification.identification_report import (
+    as_mapping,
+    experiment_text,
+    report,
+)
+from hpid_bench.tuning.identification.identify import Method, identify
+from hpid_bench.tuning.identification.joint_record import JointRecord
+from hpid_bench.tuning.identification.robot_identification import RobotIdentification
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.motion.generators import minimum_jerk

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from harness.joints import PERIOD, Joint, moved, sines
 
-from hpid_bench.tuning.identify import identify
-from hpid_bench.tuning.joint_record import JointRecord
+from hpid_bench.tuning.identification.identify import identify
+from hpid_bench.tuning.identification.joint_record import JointRecord
 
 
 def record(joint, reference, late=0, name="a", **options):

@@ -1,11 +1,13 @@
 """What a PID began with, and how late its efforts are stamped."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from harness.joints import PERIOD, Joint, moved, sines
 
+from hpid_bench.tuning.loop_simulation import JointFacts, RobotSimulation, simulate
 from hpid_bench.tuning.recorded_pid import recorded_answers
-from hpid_bench.tuning.upgrade_prediction import JointFacts, simulate
 
 JOINT = Joint()
 URDF = """<robot name="one"><link name="stand"/><link name="arm"><inertial>
@@ -39,16 +41,10 @@ def test_a_simulated_joint_that_was_held_does_not_fall():
     series, _ = moved(JOINT, JOINT.settings(), reference, hold=3.0)
     facts = {"a": JointFacts(delay=JOINT.delay)}
     loops = {"PID": [JOINT.settings()]}
-    (run,) = simulate(URDF, loops, [series], True, {}, facts=facts, engine="mujoco")
-    (fallen,) = simulate(
-        URDF,
-        loops,
-        [series],
-        True,
-        {},
-        facts={"a": facts["a"]._replace(integral=0.0)},
-        engine="mujoco",
-    )
+    robot = RobotSimulation(URDF, fixed_base=True, facts=facts, engine="mujoco")
+    (run,) = simulate(robot, loops, [series])
+    without = {"a": facts["a"]._replace(integral=0.0)}
+    (fallen,) = simulate(replace(robot, facts=without), loops, [series])
     begin = slice(0, 300)
 
     def largest(each):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from harness.motions import Plant, motion, needed
 
-from hpid_bench.tuning.robot_identification import identify_robot
+from hpid_bench.tuning.identification.robot_identification import identify_robot
 from hpid_ros.messages.quality import DataQuality, RecordingQuality
 from hpid_ros.messages.series import JointSeries, RunSeries
 

@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 
-from hpid_bench.tuning.identify import JointIdentification
-from hpid_bench.tuning.regression import Estimate
-from hpid_bench.tuning.upgrade_from_bag import (
-    _NoiseSearch,
-    pid_margins,
-    position_noise,
-    robot_model,
-)
-from hpid_bench.tuning.upgrade_prediction import JointFacts
+from hpid_bench.tuning.identification.joint_identification import JointIdentification
+from hpid_bench.tuning.identification.regression import Estimate
+from hpid_bench.tuning.loop_simulation import JointFacts
+from hpid_bench.tuning.loop_statistics import position_noise
+from hpid_bench.tuning.robot_model import robot_model
+from hpid_bench.tuning.simulated_pid import _NoiseSearch
+from hpid_bench.tuning.upgrade_from_bag import pid_margins
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.series import JointSeries
 from hpid_ros.robot.description import GivenRobot, RobotDescription

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from harness.places import URDF
 
+from hpid_bench.tuning.loop_simulation import RobotSimulation, simulate
 from hpid_bench.tuning.recorded_pid import recorded_motion
-from hpid_bench.tuning.upgrade_prediction import Expected, Prediction, read_prediction, simulate
+from hpid_bench.tuning.upgrade_prediction import Expected, Prediction, read_prediction
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LoopSettings
 from hpid_ros.messages.series import JointSeries
@@ -92,7 +93,7 @@ def test_a_recording_with_a_hole_is_no_motion_to_simulate(later_ns):
     series = JointSeries("a", stamps, TIMES, TIMES, stamps, TIMES)
     loops = {"PID": [LoopSettings.from_parameters({"joint": "a", "law": "pid"})]}
     with pytest.raises(SettingError, match=r"'a' has no state for .* s from 1\.000 s on"):
-        simulate("no robot is needed", loops, [series])
+        simulate(RobotSimulation("no robot is needed"), loops, [series])
 
 
 def test_a_joint_whose_reference_was_not_recorded_is_simulated_at_rest():
@@ -100,5 +101,5 @@ def test_a_joint_whose_reference_was_not_recorded_is_simulated_at_rest():
     none = np.empty(0)
     series = JointSeries("arm_joint_1", stamps, 0.1 + 0.0 * TIMES, none, stamps, TIMES)
     loops = {"PID": [LoopSettings.from_parameters({"joint": "arm_joint_1", "law": "pid"})]}
-    (run,) = simulate(URDF.read_text(), loops, [series], fixed_base=True)
+    (run,) = simulate(RobotSimulation(URDF.read_text(), fixed_base=True), loops, [series])
     assert (run.joints[0].reference == 0.1).all()

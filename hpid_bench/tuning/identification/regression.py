@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from hpid_bench.tuning.joint_record import Rows, Span
+from hpid_bench.tuning.identification.joint_record import Rows, Span
 from hpid_ros.base.units import Numbers
 
 INERTIA = "inertia"
@@ -44,10 +44,10 @@ GRAVITY_SIN = "gravity_sin"
 GRAVITY_COS = "gravity_cos"
 EFFORT_SCALE = "effort_scale"
 DELAY = "delay"
-GIVE = "give"
-"""No parameter either: by how much the joint gives, a factor of the effort's second derivative."""
+SPRING = "spring"
+"""Of a joint that gives: the coefficient of the effort's second derivative. No parameter."""
 SPIN = "spin"
-"""No parameter: how much there is of the effort that rotors need besides their inertia."""
+"""The coefficient of the effort that rotors need besides their inertia. No parameter."""
 
 PARAMETERS: Mapping[str, tuple[str, str]] = {
     INERTIA: ("kg m^2", "kg"),
@@ -99,7 +99,8 @@ class Regression(NamedTuple):
     residual: Numbers  # of each row, (R,); zero where a row has no weight
     rms: float  # root mean square of the residual
     condition: float  # condition number of the columns, each of them scaled to unit length
-    sharing: Numbers
+    # of each coefficient, (P,): its variance over that of a column orthogonal to all others
+    variance_inflation: Numbers
 
     @property
     def deviations(self) -> Numbers:
@@ -134,7 +135,7 @@ def regress(
         residual=residual,
         rms=float(np.sqrt(left)),
         condition=float(singular[0] / max(singular[-1], 1e-300)),
-        sharing=np.diagonal(np.linalg.pinv(gram)) * np.diagonal(gram),
+        variance_inflation=np.diagonal(np.linalg.pinv(gram)) * np.diagonal(gram),
     )
 
 
@@ -194,7 +195,7 @@ class Model(NamedTuple):
     has_scale: bool = False  # the rigid bodies' effort has a coefficient
     stribeck_speed: float = 0.0  # [rad/s] zero for none
     has_spin: bool = False  # the effort that rotors need besides their inertia has a coefficient
-    has_give: bool = False  # the joint is two masses, the one on a spring
+    has_spring: bool = False  # the joint is two masses, the one on a spring
 
     @property
     def names(self) -> list[str]:
@@ -208,7 +209,7 @@ class Model(NamedTuple):
             OFFSET: True,
             EFFORT_SCALE: self.has_scale,
             SPIN: self.has_spin,
-            GIVE: self.has_give,
+            SPRING: self.has_spring,
             DELAY: self.has_delay,
         }
         return [name for name, is_there in given.items() if is_there]
@@ -276,6 +277,12 @@ class Equation:
         """Return the same equation for a drive that gives no more than a limit, in [N m]."""
         other = copy(self)
         other.limit = limit
+        return other
+
+    def with_spin(self, effort: Numbers) -> Equation:
+        """Return the same equation with an effort that rotors need besides their inertia, (R,)."""
+        other = copy(self)
+        other.spin = effort
         return other
 
     @property
@@ -347,7 +354,9 @@ class Equation:
     def predicted(self, found: Solution) -> Numbers:
         """Return the effort that is predicted at the rows, (R,), in [N m]."""
         model = found.model
-        rates = self.rows.effort(found.delay, self.limit)[1:] if model.has_give else self._no_rates
+        rates = (
+            self.rows.effort(found.delay, self.limit)[1:] if model.has_spring else self._no_rates
+        )
         columns = self._columns(model, rates).mean(axis=0)
         known = 0.0 if self.rigid is None or model.has_scale else self.rigid.mean(0)
         return np.asarray(found.fit.values @ columns + known)
@@ -380,7 +389,7 @@ class Equation:
         instruments = columns.copy()
         # Others are as good as exact.
         noisy = [
-            k for k, name in enumerate(model.names) if name in (INERTIA, VISCOUS, GIVE, DELAY)
+            k for k, name in enumerate(model.names) if name in (INERTIA, VISCOUS, SPRING, DELAY)
         ]
         for place in noisy:
             instruments[place] = self._of_reference(columns[place])
@@ -419,7 +428,7 @@ class Equation:
         if model.has_spin:
             assert self.spin is not None
             columns.append(_twice(self.spin))
-        if model.has_give:
+        if model.has_spring:
             columns.append(_twice(rates[1]))
         if model.has_delay:
             columns.append(_twice(rates[0]))

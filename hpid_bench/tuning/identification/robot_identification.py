@@ -12,9 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_bench.tuning.identify import JointIdentification, Method, identify, nothing
-from hpid_bench.tuning.joint_record import JointRecord
-from hpid_bench.tuning.regression import INERTIA
+from hpid_bench.tuning.identification.identify import Method, identify
+from hpid_bench.tuning.identification.joint_identification import (
+    JointIdentification,
+    not_identified,
+)
+from hpid_bench.tuning.identification.joint_record import JointRecord
+from hpid_bench.tuning.identification.regression import INERTIA
 from hpid_ros.base.errors import BagError, SettingError, unknown_name
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.messages import BagMessages, odometry_topics
@@ -313,7 +317,7 @@ def _wheels(
         if is_wheel(each.joint, robot, base):
             reason = why_not_wheel(base, is_asked_for=each.joint in (asked or ()))
             if reason:
-                refused[each.joint] = nothing(each, reason)
+                refused[each.joint] = not_identified(each, reason)
     return refused
 
 

@@ -24,8 +24,8 @@ from hpid_bench.report.plots import (
     plain_ticks,
 )
 from hpid_bench.report.table import TableColumn, WideTable
-from hpid_bench.tuning.identify import Fit, JointIdentification
-from hpid_bench.tuning.regression import (
+from hpid_bench.tuning.identification.joint_identification import Fit, JointIdentification
+from hpid_bench.tuning.identification.regression import (
     COULOMB,
     DELAY,
     EFFORT_SCALE,
@@ -38,7 +38,7 @@ from hpid_bench.tuning.regression import (
     VISCOUS,
     Estimate,
 )
-from hpid_bench.tuning.robot_identification import MovedInertia, RobotIdentification
+from hpid_bench.tuning.identification.robot_identification import MovedInertia, RobotIdentification
 from hpid_ros.base.text import figure_text, shown
 from hpid_ros.base.units import Numbers
 from hpid_ros.metrics.texts import UNDEFINED

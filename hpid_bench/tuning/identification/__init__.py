@@ -1,0 +1,1 @@
+"""Joints identified from their recorded motion and efforts."""
