@@ -287,7 +287,11 @@ _POLICIES: Mapping[str, Sequence[str]] = {
     "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
     "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
     "liveliness": (
-        *("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown"),
+        "system_default",
+        "automatic",
+        "manual_by_node",
+        "manual_by_topic",
+        "unknown",
         "best_available",
     ),
 }
@@ -320,7 +324,7 @@ def _profile(qos: TopicQos) -> dict[str, Any]:
 
 def _recorded_profiles(text: str) -> list[dict[str, Any]]:
     """Return offered profiles from their YAML; none if it cannot be read."""
-    with suppress(BagError, KeyError, TypeError):
+    with suppress(BagError, LookupError, TypeError, ValueError, OverflowError):
         return [_recorded_profile(each) for each in parse_yaml("profiles", text, BagError) or ()]
     return []
 
@@ -329,8 +333,9 @@ def _recorded_profile(recorded: Mapping[str, Any]) -> dict[str, Any]:
     """Return a profile of another bag, its policies by their names."""
     return {
         **{key: _policy(names, recorded[key]) for key, names in _POLICIES.items()},
-        **{key: {part: recorded[key][part] for part in _FOREVER} for key in _DURATIONS},
-        **{key: recorded[key] for key in ("depth", "avoid_ros_namespace_conventions")},
+        **{key: {part: int(recorded[key][part]) for part in _FOREVER} for key in _DURATIONS},
+        "depth": int(recorded["depth"]),
+        "avoid_ros_namespace_conventions": bool(recorded["avoid_ros_namespace_conventions"]),
     }
 
 

@@ -133,10 +133,7 @@ def measure(
     Raises:
         HpidError: It cannot be read.
     """
-    if isinstance(bag, Storage):
-        named = Source(bag.path, label, bag)
-    else:
-        named = Source(Path(bag), label)
+    named = Source(bag.path, label, bag) if isinstance(bag, Storage) else Source(Path(bag), label)
     (source,) = labelled([named])
     (found,) = _measured([source], how or Measuring(), tell or (lambda what, share: None), ())
     return found

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from hpid_ros.base.text import csv_text, shown
+from hpid_ros.base.text import csv_text, shown, shown_lines
 from hpid_ros.metrics.comparison import (
     THRESHOLD,
     Comparison,
@@ -327,7 +327,7 @@ def table_lines(comparison: Comparison) -> str:
         columns += [each.rjust(width) for each, width in zip(numbers, widths[2:], strict=True)]
         lines.append("  ".join(columns).rstrip())
     notes = [*legend_of(comparison), *comparison.notes, *footnotes(comparison)]
-    return "\n".join([*lines, "", *notes, *verdicts_of(comparison)]) + "\n"
+    return shown_lines("\n".join([*lines, "", *notes, *verdicts_of(comparison)])) + "\n"
 
 
 FORMATS: Mapping[str, Callable[[Comparison], str]] = {

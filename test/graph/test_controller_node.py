@@ -290,9 +290,10 @@ def test_a_node_that_cannot_start_says_one_line_and_ends_with_two(
 def test_a_library_that_is_missing_is_one_line_as_well(library, module, parameters, line):
     joints = [] if "live" in module else ["-p", "joints:=[elbow]"]
     arguments = ["x", "--ros-args", *joints, "-p", parameters]
+    house = "hpid_bench" if "live" in module else "hpid_ros"
     program = (
         f"import sys; sys.modules[{library!r}] = None; "
-        f"from hpid_ros.{module} import main; sys.exit(main({arguments}))"
+        f"from {house}.{module} import main; sys.exit(main({arguments}))"
     )
     ended = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=False

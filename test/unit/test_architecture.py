@@ -166,7 +166,7 @@ def test_what_drives_a_robot_knows_nothing_of_the_bench():
 
 
 # Lines of code, see tools/size.py. To raise it is a decision: all of it runs next to a robot.
-ROBOTS_SIDE_AT_MOST = 16_000
+ROBOTS_SIDE_AT_MOST = 16_300
 BENCH_ALONE = {"hpid_bench", "matplotlib", "rich", "jinja2", "joblib", "PIL"}
 # What a controller has no use for before its first state; each takes its time to import.
 UNUSED_BY_CONTROLLERS = {

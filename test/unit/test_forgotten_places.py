@@ -19,9 +19,9 @@ from harness.c_loops import CLibrary, CLoop, parameters_by_chance, states_by_cha
 from harness.loops import IN_EFFORT, OTHER_VALUES, STOPS, TURNS, loop_settings
 from harness.places import ROOT
 from harness.runs import response
-from hpid_bench.cli.arguments import Parser
 
-from hpid_bench.cli import robot_arguments
+from hpid_bench.cli import recording_arguments
+from hpid_bench.cli.parser import Parser
 from hpid_bench.tuning.export import FIELDS, GivenLoop, exported_values
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control.laws import LAWS, LawName
@@ -344,8 +344,8 @@ def test_an_index_stands_in_its_page(key):
 def test_the_help_of_hpid_metrics_names_every_index():
     """By hand, as the help imports nothing that the indices do."""
     parser = Parser(prog="hpid metrics")
-    robot_arguments.metrics(parser)
+    recording_arguments.metrics(parser)
     (text,) = (each.help for each in parser._actions if "--indices" in each.option_strings)
     listed = text.split(";")[0].replace(",", " ").split()
-    where = "the help of --indices in hpid_bench/cli/robot_arguments.py has others"
+    where = "the help of --indices in hpid_bench/cli/recording_arguments.py has others"
     assert sorted(listed) == sorted(QUANTITIES), f"{where}: {set(listed) ^ set(QUANTITIES)}"

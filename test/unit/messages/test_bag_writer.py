@@ -153,7 +153,7 @@ NAMED = (
 )
 
 
-@pytest.mark.parametrize("text", [NUMBERED, NAMED])
+@pytest.mark.parametrize("text", [NUMBERED, NAMED], ids=["numbers", "names"])
 def test_a_quality_of_service_of_another_bag_is_kept_whatever_its_version(tmp_path, text):
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/a", JOINT_STATE, text)
@@ -167,7 +167,9 @@ def test_a_quality_of_service_of_another_bag_is_kept_whatever_its_version(tmp_pa
 
 
 @pytest.mark.parametrize(
-    "text", ["", "no list", "[1]", "{", "- {}", NUMBERED.replace("depth", "width"), "[[[[["]
+    "text",
+    ["", "no list", "[1]", "{", "- {}", NUMBERED.replace("depth", "width"), "[[[[["]
+    + [NUMBERED.replace("depth: 5", f"depth: {each}") for each in ("x", ".inf", "[1]", '"\\0"')],
 )
 def test_a_quality_of_service_that_cannot_be_read_is_that_of_a_plain_publisher(tmp_path, text):
     with BagWriter(tmp_path / "bag") as bag:

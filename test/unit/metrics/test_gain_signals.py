@@ -44,8 +44,8 @@ def ran(settings, motion, reference, *, reports=lambda k: True, count=1500):
     for k in range(count):
         told = velocity if reports(k) else math.nan
         effort = loop.step(stamp, position, None if math.isnan(told) else told)
-        rows.append((stamp, position, loop.reference[0], effort, told))
-        own.append(law.multiplier(loop.error, loop.reference[1] - loop.velocity))
+        rows.append((stamp, position, loop.following.position, effort, told))
+        own.append(law.multiplier(loop.error, loop.following.velocity - loop.estimation.velocity))
         period_ns = int(rng.integers(800_000, 1_200_000))  # stamps of a busy machine
         stamp, dt = stamp + period_ns, period_ns / SECOND
         velocity += dt * effort

@@ -83,7 +83,7 @@ def test_gains_per_inertia_times_the_inertia_are_the_gains(strategy, law, gain, 
         assert scaled.step(k * MS, position, 0.0, ModelTerm(gain, 0.0)) == pytest.approx(
             expected, rel=1e-6, abs=1e-6 * limit
         )
-        assert scaled.integral == pytest.approx(plain.integral, rel=1e-6, abs=1e-6 * limit)
+        assert scaled.law.integral == pytest.approx(plain.law.integral, rel=1e-6, abs=1e-6 * limit)
     assert scaled.counts.saturated == plain.counts.saturated
 
 
