@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.disturbed_graph import SETTLE, DisturbedGraph, Fault
 from benchmarks.surroundings import loopback_environment
 from benchmarks.tracking import tracking
-from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate_task
 from hpid_bench.experiment.description import Experiment, load_experiment
 from hpid_bench.experiment.processes import NodeGroup, own_domain
 from hpid_ros.base.errors import RunError, SettingError
@@ -97,7 +97,7 @@ def sines(folder: Path, motion: float, duration: float | None = None) -> Experim
 def undisturbed(experiment: Experiment) -> RunSeries:
     """Return the same run without a fault."""
     with WorldKeeper() as keeper:
-        return simulate(RunTask.of(experiment, LABEL), keeper)
+        return simulate_task(RunTask.of(experiment, LABEL), keeper)
 
 
 def run_episode(experiment: Experiment, calm: RunSeries, folder: Path, seed: int) -> Episode:

@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 
 import yaml
 
-from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate_task
 from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.errors import HpidError
 from hpid_ros.metrics.run_numbers import run_indices
@@ -106,7 +106,7 @@ def _totals(
         file.write_text(yaml.safe_dump(document, sort_keys=False))
         experiment = load_experiment(file, engine)
         with WorldKeeper() as keeper:
-            run = simulate(RunTask.of(experiment, "PID"), keeper)
+            run = simulate_task(RunTask.of(experiment, "PID"), keeper)
     overall = run_indices(run).totals
     return [float(overall[key]) for key in _INDICES]
 

@@ -130,7 +130,7 @@ def _loop(norm: str, count: int) -> Measure:
         effort=EffortLimits(EFFORT_LIMIT, -EFFORT_LIMIT),
         integral=IntegralLimits(0.5 * EFFORT_LIMIT, -0.5 * EFFORT_LIMIT, "back_calculation"),
         velocity=VelocitySettings("filtered"),
-        encoder=EncoderSettings(resolution=math.tau / 16384),
+        encoder=EncoderSettings(encoder_resolution=math.tau / 16384),
         inertia=0.132,
     )
     seconds = count * PERIOD

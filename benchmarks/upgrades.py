@@ -32,8 +32,8 @@ from hpid_bench.tuning.upgrade_from_bag import BagUpgrade, UpgradeRequest, upgra
 from hpid_bench.tuning.upgrade_prediction import (
     HOLDS_WITHIN,
     Prediction,
-    Verification,
-    verify,
+    PredictionVerification,
+    verify_prediction,
 )
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.resources import find_resource
@@ -41,7 +41,7 @@ from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
-from hpid_ros.messages.metadata import PARAMETERS
+from hpid_ros.messages.metadata import CONTROLLERS_ENTRY
 from hpid_ros.messages.writer import BagWriter, TopicQos
 from hpid_ros.metrics.quantities import ITAE, IVC
 from hpid_ros.motion.generators import minimum_jerk, step
@@ -94,7 +94,7 @@ class Travelled(NamedTuple):
     motion: str  # its kind
     found: BagUpgrade  # what was proposed
     prediction: Prediction  # what it was to bring
-    verification: Verification  # what it brought
+    verification: PredictionVerification  # what it brought
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -178,7 +178,9 @@ def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
         new = {each.joint: each for each in found.tried.settings}
         proposed = [new.get(each.joint, each) for each in drawn.controllers]
         drawn.record(proposed, after, seed + 1_000_000)
-        return Travelled(drawn.motion, found, prediction, verify(prediction, before, after))
+        return Travelled(
+            drawn.motion, found, prediction, verify_prediction(prediction, before, after)
+        )
 
 
 def draw(robot: str, seed: int, engine: str = "mujoco", wrong_links: float = 0.0) -> Drawn:
@@ -253,7 +255,7 @@ def _draw_strange(seed: int) -> Drawn:
         for stamp in range(0, begin, step_ns):  # it holds where it is
             moving.step(loop.step(stamp, *moving.read()))
         loop.follow(trajectory.column("arm"))
-        with BagWriter(bag, metadata={PARAMETERS: controllers_text(controllers)}) as writer:
+        with BagWriter(bag, metadata={CONTROLLERS_ENTRY: controllers_text(controllers)}) as writer:
             latched = TopicQos(transient_local=True, depth=1)
             reference = writer.add_topic("/joint_trajectory", JOINT_TRAJECTORY, latched)
             commands = writer.add_topic("/joint_commands", JOINT_STATE)

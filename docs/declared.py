@@ -9,7 +9,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from hpid_bench.cli.main import COMMANDS
+from hpid_bench.cli.main import SUBCOMMANDS
 from hpid_ros.base.records import ParameterSpec
 from hpid_ros.base.schema import table
 from hpid_ros.control.settings import LOOP_PARAMETERS, MODEL_PARAMETERS
@@ -50,7 +50,7 @@ def keys(*sections: tuple[Any, str]) -> Iterator[Row]:
 
 def commands() -> Iterator[Row]:
     """Yield the rows of the subcommands of hpid."""
-    for name, text in COMMANDS.items():
+    for name, text in SUBCOMMANDS.items():
         yield f"hpid {name}", text
 
 

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from hpid_ros.base.names import ALL_JOINTS, claim_topic, controller_name
+from hpid_ros.base.names import ALL_JOINTS_CLAIM, claim_topic, controller_name
 from hpid_ros.base.resources import find_resource, share_folder
 from hpid_ros.robot.description import RobotDescription
 
@@ -64,7 +64,7 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
             ),
             reply=(f"~/{service}" for service in _LIFECYCLE),
         )
-    claims = [claim_topic(commands, ALL_JOINTS) for commands in _MERGED]
+    claims = [claim_topic(commands, ALL_JOINTS_CLAIM) for commands in _MERGED]
     _allow(
         _profile(enclaves, "merger", _MERGER),  # as in config/ros2_control
         publish=(*_MERGED, "~/transition_event", "/diagnostics", *claims),

@@ -43,7 +43,7 @@ class NaivePid:
         (settings,) = (s for s in experiment.controllers[LABEL] if s.joint == joint)
         self.node, self.joint = node, joint
         self.gains = settings.gains
-        self.time_constant = settings.velocity.filter_time_constant
+        self.time_constant = settings.velocity.velocity_filter_time_constant
         self.limit = settings.effort.u_clamp_max
         self.trajectory = experiment.trajectory.column(joint)
         self.reference: SplineReference | None = None

@@ -25,7 +25,7 @@ def response(degree):
         mu=degree,
         norm=NormSettings(error_scale=0.3),
         inertia=INERTIA,
-        encoder=EncoderSettings(resolution=math.tau / COUNTS),
+        encoder=EncoderSettings(encoder_resolution=math.tau / COUNTS),
     )
     loop = JointLoop(settings)
     loop.follow(Setpoint(0.3))

@@ -10,7 +10,7 @@ from importlib import import_module
 
 from hpid_bench.cli import experiment_arguments, recording_arguments, robot_arguments
 from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED, UNREAD
-from hpid_bench.cli.parser import COMMANDS, Parser, overview
+from hpid_bench.cli.parser import SUBCOMMANDS, Parser, overview
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.base.libraries import optional_libraries, require_ros
@@ -60,7 +60,7 @@ def main(args: Sequence[str] | None = None) -> int:
     if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next
         import argcomplete
 
-        argcomplete.autocomplete(_parser(list(COMMANDS)))
+        argcomplete.autocomplete(_parser(list(SUBCOMMANDS)))
     if not args:
         print(overview(), end="")
         return DONE
@@ -130,7 +130,7 @@ def _parser(args: Sequence[str]) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(
         required=True, prog="hpid", metavar="COMMAND", dest="command", parser_class=Parser
     )
-    for name in COMMANDS:
+    for name in SUBCOMMANDS:
         command = commands.add_parser(name)
         if name in args:
             command.shows_all = "--help-all" in args

@@ -23,7 +23,7 @@ from hpid_ros.base.records import Section, take_record
 from hpid_ros.base.resources import find_resource
 from hpid_ros.base.text import shown
 from hpid_ros.base.yaml_files import load_document, load_yaml
-from hpid_ros.control.controller_files import ParameterFile, parameters_from
+from hpid_ros.control.parameter_files import ParameterFile, parameters_from
 from hpid_ros.control.settings import LARGEST_EFFORT, LoopSettings
 from hpid_ros.metrics.measure import sliding_joints as slides_of_bag
 from hpid_ros.robot.amendments import RobotSection
@@ -32,7 +32,7 @@ from hpid_ros.robot.dynamics import inertia_ranges
 from hpid_ros.robot.joint_description import UNLIMITED
 from hpid_ros.robot.loop_settings import on_robot
 from hpid_ros.simulation.settings import ENGINES, require_engine
-from hpid_ros.stability.gain_check import Loop, inertia_of
+from hpid_ros.stability.gain_check import Loop, judged_inertia
 from hpid_ros.stability.margins import LoopFamily, loop_family
 
 DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"  # what runs if no file is named
@@ -219,15 +219,15 @@ def write_output(path: Path, content: str | bytes) -> None:
         write_file(path, content)
 
 
-Range = tuple[float, float]
+InertiaPair = tuple[float, float]
 
 
 def inertias_from(
     options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]] = ()
-) -> dict[str, Range]:
+) -> dict[str, InertiaPair]:
     """Return the least and the largest inertia that the options say, by joint."""
     of_all, said = _given(options.inertia)
-    of_one: dict[str, Range] = {}
+    of_one: dict[str, InertiaPair] = {}
     for each in (text for texts in options.inertia for text in texts if _is_file(text)):
         in_file = _of_file(Path(each))
         of_one |= {joint: in_file[joint] for joint in joints if joint in in_file}
@@ -254,10 +254,10 @@ def inertias_from(
     return found
 
 
-def _given(inertias: Sequence[Sequence[str]]) -> tuple[Range | None, dict[str, Range]]:
+def _given(inertias: Sequence[Sequence[str]]) -> tuple[InertiaPair | None, dict[str, InertiaPair]]:
     """Return what ``--inertia`` says of all joints, and of single ones."""
     numbers: list[float] = []
-    of_one: dict[str, Range] = {}
+    of_one: dict[str, InertiaPair] = {}
     for text in (each for texts in inertias for each in texts if not _is_file(each)):
         joint, is_named, value = text.rpartition("=")
         try:
@@ -283,7 +283,7 @@ def _is_file(text: str) -> bool:
     return text.endswith((".yaml", ".yml"))
 
 
-def _of_file(file: Path) -> dict[str, Range]:
+def _of_file(file: Path) -> dict[str, InertiaPair]:
     """Return the inertias that a file's ``controllers`` section has, by joint."""
     values = load_document(file, SettingError).values
     try:
@@ -300,7 +300,7 @@ def _of_file(file: Path) -> dict[str, Range]:
 
 def _of_robot(
     options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]]
-) -> dict[str, Range]:
+) -> dict[str, InertiaPair]:
     wanted = _POSES if options.poses is None else options.poses
     try:
         robot = load_robot(options.urdf)
@@ -375,7 +375,7 @@ class JointPlants(NamedTuple):
     def family(
         self,
         settings: LoopSettings,
-        inertia: Range,
+        inertia: InertiaPair,
         delay: float,
         largest_norm: float | None = None,
     ) -> LoopFamily:
@@ -415,10 +415,12 @@ def judged_loops(
     elif experiment is not None:
         warn_unlimited(experiment.description, loops)
     known = {**file.inertias, **inertias_from(options, [each.joint for each in loops])}
-    return [(each, inertia_of(each, known.get(each.joint))) for each in loops]
+    return [(each, judged_inertia(each, known.get(each.joint))) for each in loops]
 
 
-def sliding_joints(options: argparse.Namespace, experiment: Experiment | None) -> frozenset[str]:
+def sliding_joints_from(
+    options: argparse.Namespace, experiment: Experiment | None
+) -> frozenset[str]:
     """Return the joints that slide: by ``--urdf``, the experiment's robot, or ``--bag``."""
     if options.urdf:
         return load_robot(options.urdf).description.slides

@@ -51,9 +51,9 @@ GROUPS = {
     },
 }
 """The subcommands by task, each with what it is for."""
-COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
+SUBCOMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
 
-_NAMES = max(map(len, COMMANDS))
+_NAMES = max(map(len, SUBCOMMANDS))
 _FIRST = {
     "hpid doctor": "does everything work on this machine?",
     "hpid play": "a simulated robot to play with",

@@ -29,7 +29,7 @@ LAST = 1.0  # how much of the end of a run is looked at, in [s]; all of a shorte
 LAST_ERROR = Quantity(
     "last_error", "last |e|", "rad", "largest error of the last second", Fold.WORST, 1
 )
-QUANTITIES: tuple[Quantity, ...] = (*PAPER, OVERSHOOT, ERROR_MAX, CHATTER, LAST_ERROR)
+BATCH_QUANTITIES: tuple[Quantity, ...] = (*PAPER, OVERSHOOT, ERROR_MAX, CHATTER, LAST_ERROR)
 
 TOTAL = ""  # stands for all judged joints where a joint's name would be
 
@@ -91,7 +91,7 @@ class RunTask:
         last[TOTAL] = max(last.values())
         numbers = {}
         for joint in (*indices.joints, TOTAL):
-            values = {q.key: indices.value(q, joint or None) for q in QUANTITIES[:-1]}
+            values = {q.key: indices.value(q, joint or None) for q in BATCH_QUANTITIES[:-1]}
             values[LAST_ERROR.key] = last[joint]
             numbers[joint] = {key: value for key, value in values.items() if value == value}
         return RunRecord(numbers)
@@ -127,7 +127,7 @@ class WorldKeeper(AbstractContextManager["WorldKeeper"]):
             kept.close()
 
 
-def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
+def simulate_task(task: RunTask, keeper: WorldKeeper) -> RunSeries:
     loops = following_loops(task.loops, task.trajectory)
     try:
         models = compensators(task.loops, str(task.world.robot_description))
@@ -142,7 +142,7 @@ def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
 
 def simulated(task: RunTask, keeper: WorldKeeper) -> RunRecord:
     """Run a task and return its numbers: to the last bit those of ``hpid compare``."""
-    return task.record(simulate(task, keeper))
+    return task.record(simulate_task(task, keeper))
 
 
 def attempted(task: RunTask, keeper: WorldKeeper) -> RunRecord:
@@ -155,9 +155,9 @@ def attempted(task: RunTask, keeper: WorldKeeper) -> RunRecord:
         return RunRecord({}, " ".join(f"{type(error).__name__}: {error}".split()))
 
 
-Records = Generator[tuple[Any, RunRecord], None, None]
+RunRecords = Generator[tuple[Any, RunRecord], None, None]
 
-Runner = Callable[[Mapping[Any, RunTask]], Records]
+Runner = Callable[[Mapping[Any, RunTask]], RunRecords]
 """Runs tasks, as :func:`run_batch` does; wherever that is, the numbers are the same."""
 
 _keeper = WorldKeeper()  # of this process, which runs one task after the other
@@ -167,7 +167,7 @@ def _work(task: RunTask) -> RunRecord:
     return attempted(task, _keeper)
 
 
-def run_batch(tasks: Mapping[Any, RunTask], jobs: int | None = None) -> Records:
+def run_batch(tasks: Mapping[Any, RunTask], jobs: int | None = None) -> RunRecords:
     """Run tasks and give the key and record of each as it finishes.
 
     The numbers of a task depend on nothing but the task: neither on how many processes there

@@ -27,7 +27,7 @@ from xml.etree import ElementTree
 
 import hpid_bench
 import hpid_ros
-from hpid_bench.experiment.batch import Records, RunRecord, RunTask, WorldKeeper, attempted
+from hpid_bench.experiment.batch import RunRecord, RunRecords, RunTask, WorldKeeper, attempted
 from hpid_bench.experiment.result_folder import versions
 from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.base.files import write_file
@@ -122,7 +122,7 @@ def traits(engines: tuple[str, ...]) -> Mapping[str, str]:
     return found | {_SOURCES: sources.hexdigest()[:12]}
 
 
-def differences(own: Mapping[str, str], others: Mapping[str, str]) -> str:
+def version_differences(own: Mapping[str, str], others: Mapping[str, str]) -> str:
     """Say what of a client a worker has not, or in another version."""
     return ", ".join(
         f"{name} {others[name]} instead of {version}" if name in others else f"no {name}"
@@ -132,7 +132,7 @@ def differences(own: Mapping[str, str], others: Mapping[str, str]) -> str:
 
 
 def work(parcel: Parcel, wanted: Mapping[str, str], task: RunTask) -> RunRecord:
-    found = differences(wanted, traits((task.world.engine,)))
+    found = version_differences(wanted, traits((task.world.engine,)))
     if found:
         raise RunError(f"it has {found}")
     run = unpack(parcel, task)
@@ -160,7 +160,7 @@ class Cluster(AbstractContextManager["Cluster"]):
             for worker, found in self._client.run(traits, (), on_error="return").items():
                 if isinstance(found, Exception):  # it has no hpid_ros
                     raise RunError(f"the worker at {worker} cannot take part: {found}")
-                unlike = differences(traits(()), found)
+                unlike = version_differences(traits(()), found)
                 if unlike:
                     raise RunError(f"the worker at {worker} cannot take part: it has {unlike}")
         except BaseException:
@@ -177,7 +177,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         page = f"; dashboard: {self._client.dashboard_link}" if has_page else ""
         return f"{count} at {self._address}{page}"
 
-    def __call__(self, tasks: Mapping[Any, RunTask]) -> Records:
+    def __call__(self, tasks: Mapping[Any, RunTask]) -> RunRecords:
         """Run tasks, as :func:`~hpid_bench.experiment.batch.run_batch` does."""
         from distributed import as_completed
 

@@ -160,7 +160,7 @@ def _frame(experiment: Experiment) -> TaskFrame | None:
 
 
 @dataclass(frozen=True)
-class Result:
+class ExperimentResult:
     experiment: Experiment  # what was compared
     runs: tuple[RunSeries, ...]  # the recorded runs, the baseline first
     comparison: Comparison  # their numbers
@@ -221,7 +221,7 @@ class Result:
 _TOPICS = (ODOM, TRUTH, SLIP, END_EFFECTOR, GRIP_EVENTS, BRICK_POSES)
 
 
-def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
+def compute(experiment: Experiment, bags: Mapping[str, Path]) -> ExperimentResult:
     loops = [loop for each in experiment.controllers.values() for loop in each]
     selection = BagSelection(
         joints=experiment.world.joints,
@@ -251,11 +251,13 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
         if world.workplace.bricks:
             bricks[run.label] = brick_figures(experiment, bag)
     comparison = Comparison(tuple(measured))
-    return Result(experiment, tuple(runs), comparison, base, end_effectors, bricks, tuple(paths))
+    return ExperimentResult(
+        experiment, tuple(runs), comparison, base, end_effectors, bricks, tuple(paths)
+    )
 
 
 def save_numbers(
-    result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str
+    result: ExperimentResult, folder: ResultFolder, reports: Sequence[RunReport], how: str
 ) -> None:
     """Write the numbers of a result: indices and table, and how long everything took."""
     folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
@@ -270,7 +272,7 @@ def save_timing(folder: ResultFolder, reports: Sequence[RunReport], how: str) ->
     folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
 
 
-def save(result: Result, folder: ResultFolder, how: str) -> None:
+def save(result: ExperimentResult, folder: ResultFolder, how: str) -> None:
     """Write the tables and the report of a result whose numbers are saved."""
     from hpid_bench.report.page import render_report
 
@@ -312,7 +314,7 @@ def run_controller(
     *,
     force: bool = False,
     is_tried: bool = False,
-) -> tuple[RunReport, Result | None]:
+) -> tuple[RunReport, ExperimentResult | None]:
     """Run one controller on the graph; what is not recorded has no result."""
     require_known("controller", [label], experiment.controllers, ExperimentError)
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
@@ -334,10 +336,10 @@ def run_controller(
         return report, result
 
 
-Computed = Callable[[Result, Sequence[RunReport]], None]
+Computed = Callable[[ExperimentResult, Sequence[RunReport]], None]
 
 
-def compare(
+def run_comparison(
     experiment: Experiment,
     output: Path,
     progress: Progress,
@@ -346,7 +348,7 @@ def compare(
     options: GraphOptions | None = None,
     force: bool = False,
     computed: Computed = lambda result, reports: None,
-) -> Result:
+) -> ExperimentResult:
     """Run an experiment's controllers one after the other, record, compute, report, certify.
 
     ``computed`` is called with the numbers as soon as they are saved.

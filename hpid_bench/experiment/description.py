@@ -76,14 +76,14 @@ def _rolling(model: ModelSettings, world: WorldSettings) -> ModelSettings:
 
 _JOINTS = "joints"
 
-Parameters = dict[str, object]
+ParameterValues = dict[str, object]
 
 
 class Layer(NamedTuple):
     """Parameters that a section has, by dotted name, and its place."""
 
     where: str
-    values: Parameters
+    values: ParameterValues
 
 
 _NOTHING = Layer("", {})
@@ -186,7 +186,7 @@ def _settings(
     layers: Sequence[Layer],
 ) -> LoopSettings:
     """Return one joint's settings; later layers win, and the robot gives the defaults."""
-    values: Parameters = {
+    values: ParameterValues = {
         "joint": joint.name,
         "control_period": robot[0].control_period_ns / NANOSECONDS,
         "encoder_resolution": math.tau / counts if counts else 0.0,
@@ -291,7 +291,7 @@ class Experiment:
         document["robot"] = {**robot, "description": source, "driven": list(self.world.joints)}
         document["simulation"] = {**values.get("simulation", {}), "engine": self.world.engine}
         if self.plan is not None:
-            grips = self.world.workplace.schedule
+            grips = self.world.workplace.grips
             document["scene"]["grips"] = [
                 {"time": each.time, "closed": each.is_closed} for each in grips
             ]
@@ -399,7 +399,7 @@ def _whole_periods(duration: float, rate: float, world: WorldSettings) -> float:
 def _require_before_end(world: WorldSettings, plan: BrickPlan | None, duration: float) -> None:
     """Refuse what would happen after the last control period has begun, which is never."""
     events = world.disturbances
-    grips = () if plan is not None else world.workplace.schedule
+    grips = () if plan is not None else world.workplace.grips
     moments = {
         **{f"disturbances.payload[{k}].time": each.time for k, each in enumerate(events.payload)},
         **{

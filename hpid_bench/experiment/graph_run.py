@@ -79,7 +79,7 @@ _LEAVE_WITHIN = 10.0  # [s] for all nodes to leave and to say how long they took
 _CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
 
 _PHASES = ("starting", "running", "recording", "leaving")
-RECORDER, REFERENCE = "bag_recorder", "trajectory_publisher"
+BAG_RECORDER, TRAJECTORY_PUBLISHER = "bag_recorder", "trajectory_publisher"
 COMPOSED, SINGLE = "joint_controllers", "single_process"
 
 
@@ -102,8 +102,8 @@ class GraphNodes:
         self.bridge = SINGLE if is_single else self._executable
         # In real time a disk that blocks must not hold the robot up.
         self._is_apart = options.is_recorded and options.is_realtime and not is_single
-        self.recorder = RECORDER if self._is_apart else self.bridge
-        self.vital = frozenset({self.bridge, self.recorder, REFERENCE})
+        self.recorder = BAG_RECORDER if self._is_apart else self.bridge
+        self.vital = frozenset({self.bridge, self.recorder, TRAJECTORY_PUBLISHER})
 
     def start(self, group: NodeGroup) -> None:
         """Write the parameter files and start every process."""
@@ -111,7 +111,9 @@ class GraphNodes:
         settings = self._experiment.controllers[self._label]
         write_run_files(self._folder, self._experiment, settings)
         reference = write_reference(self._folder, self._experiment)
-        group.start(REFERENCE, REFERENCE, parameters(reference_file=reference))
+        group.start(
+            TRAJECTORY_PUBLISHER, TRAJECTORY_PUBLISHER, parameters(reference_file=reference)
+        )
         recorder = []
         if options.is_recorded:
             kept = self._kept(settings)
@@ -121,7 +123,7 @@ class GraphNodes:
         controllers = self.controller_arguments()
         bridge = self.bridge_arguments()
         if self._is_apart:
-            group.start(RECORDER, RECORDER, recorder)
+            group.start(BAG_RECORDER, BAG_RECORDER, recorder)
         elif options.is_recorded:
             bridge += [*recorder, *parameters(record=True)]
         bridge += parameters(realtime_priority=options.realtime_priority)
@@ -360,13 +362,13 @@ class _GraphRun:
             )
 
 
-LONGEST = 1.0  # [s] of simulated time
+TRIAL_DURATION = 1.0  # [s] of simulated time
 _MILLISECONDS = 1e-3  # in a microsecond
 
 
 def run_trial(experiment: Experiment, label: str, options: GraphOptions) -> str:
     """Run the beginning of an experiment in lock-step, and say whether its rate can be held."""
-    short = replace(experiment, duration=min(LONGEST, experiment.duration))
+    short = replace(experiment, duration=min(TRIAL_DURATION, experiment.duration))
     with tempfile.TemporaryDirectory(prefix="hpid_trial_") as name:
         folder = Path(name)
         report = run_on_graph(

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hpid_bench.experiment.description import Experiment, following_loops, nested
-from hpid_ros.base.durations import NOTHING
+from hpid_ros.base.durations import NO_DURATIONS
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.processes import raise_if_interrupted
@@ -24,12 +24,11 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
-from hpid_ros.messages.metadata import PARAMETERS, slides_entry
+from hpid_ros.messages.metadata import CONTROLLERS_ENTRY, slides_entry
 from hpid_ros.messages.writer import BagWriter, TopicQos
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.engine import Sample, run_in_process
-from hpid_ros.simulation.reports import KINDS as REPORT_KINDS
-from hpid_ros.simulation.reports import REPORT_RATE, Reports, recorded_reports
+from hpid_ros.simulation.reports import REPORT_KINDS, REPORT_RATE, Reports, recorded_reports
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 
@@ -145,7 +144,7 @@ def run_timing(
             "unanswered": counts[joint]["unanswered"],
             "period": event["period"],
             "compute": event["compute"],
-            "latency": bridge["latency"].get(joint, NOTHING._asdict()),
+            "latency": bridge["latency"].get(joint, NO_DURATIONS._asdict()),
         }
         for joint, event in controllers.items()
         if joint in counts
@@ -202,7 +201,7 @@ def run_without_ros(
     robot = str(experiment.world.robot_description)
     models = compensators(settings, robot)
     progress.phase(label, "running in this process")
-    parameters = {PARAMETERS: controllers_text(settings, robot)}
+    parameters = {CONTROLLERS_ENTRY: controllers_text(settings, robot)}
     metadata = parameters | slides_entry(experiment.slides)
     with (
         World(experiment.world, experiment.description) as world,

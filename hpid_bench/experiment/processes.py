@@ -37,7 +37,7 @@ from hpid_ros.base.resources import find_resource
 from hpid_ros.base.yaml_text import inline_yaml
 
 SHARED_MEMORY = Path("/dev/shm")
-ROOM = 64 * 2**20  # [bytes] of shared memory for a run of eleven processes
+SHARED_MEMORY_ROOM = 64 * 2**20  # [bytes] of shared memory for a run of eleven processes
 _LEAST_ROOM = 16 * 2**20  # [bytes]; with 12 MB not all nodes of the shortest run could be made
 YOUNG = 30.0  # [s]; a process that is just starting may not hold its locks yet
 
@@ -147,7 +147,7 @@ def blaming_shared_memory() -> Iterator[None]:
         yield
     except RunError as error:
         left = shared_memory_left()
-        if left >= ROOM:
+        if left >= SHARED_MEMORY_ROOM:
             raise
         raise RunError(f"{error}; {SHARED_MEMORY} may have been full: {_left(left)}") from None
 
@@ -155,7 +155,8 @@ def blaming_shared_memory() -> Iterator[None]:
 def _left(left: int) -> str:
     return (
         f"{left / 2**20:.0f} MB are free, and nodes send each other everything there; remove what "
-        f"fills it, or give it {ROOM // 2**20} MB or more (docker run --shm-size=512m)"
+        f"fills it, or give it {SHARED_MEMORY_ROOM // 2**20} MB or more "
+        "(docker run --shm-size=512m)"
     )
 
 

@@ -21,8 +21,8 @@ from typing import NamedTuple
 from rich.box import SIMPLE
 
 from hpid_bench.experiment.batch import (
+    BATCH_QUANTITIES,
     LAST_ERROR,
-    QUANTITIES,
     TOTAL,
     Quartiles,
     Runner,
@@ -40,7 +40,7 @@ from hpid_bench.experiment.study_plan import (
     read_journal,
 )
 from hpid_bench.report.table import (
-    NOTHING,
+    NO_NUMBER,
     WideTable,
     columns_of,
     spaced,
@@ -160,7 +160,9 @@ CLAIMS = (
 )
 
 
-def verdict(claim: PaperClaim, evidence: Mapping[str, Evidence]) -> tuple[str, tuple[str, ...]]:
+def claim_verdict(
+    claim: PaperClaim, evidence: Mapping[str, Evidence]
+) -> tuple[str, tuple[str, ...]]:
     """Return what experiments say of a claim, and in which of them it holds."""
     answers = {name: claim.holds(each) for name, each in evidence.items()}
     known = [name for name, answer in answers.items() if answer is not None]
@@ -172,7 +174,7 @@ def verdict(claim: PaperClaim, evidence: Mapping[str, Evidence]) -> tuple[str, t
     return ("holds only when" if held else "does not hold"), held
 
 
-SETTLED = 0.01  # [rad] below which the error of a settled controller stays in the last second
+SETTLED_ERROR = 0.01  # [rad] below which a settled controller stays in the last second
 
 
 def _is_claimed(entry: StudyEntry, label: str) -> bool:
@@ -202,7 +204,7 @@ class StudyResult:
     def evidence(self, entry: StudyEntry, label: str) -> Evidence:
         """Return what an experiment says of a controller, by medians."""
         row, table = entry.row(label), self.table
-        all_ratios = {q.key: table.ratios(row, q) for q in QUANTITIES}
+        all_ratios = {q.key: table.ratios(row, q) for q in BATCH_QUANTITIES}
         itae = {joint: table.ratios(row, ITAE, joint) for joint in entry.joints}
         return Evidence(
             {key: each.median for key, each in all_ratios.items() if each is not None},
@@ -247,8 +249,8 @@ class StudyResult:
                 "made": len(self.records),
                 "failed": self.table.failures,
             },
-            "units": {quantity.key: quantity.unit for quantity in QUANTITIES},
-            "settled_below": SETTLED,
+            "units": {quantity.key: quantity.unit for quantity in BATCH_QUANTITIES},
+            "settled_below": SETTLED_ERROR,
             "experiments": {entry.name: self._entry(entry) for entry in self.plan.entries},
             "claims": {label: self._claims(label) for label in self.claimed_labels()},
         }
@@ -258,7 +260,9 @@ class StudyResult:
         slides: dict[str, object] = {}
         if any(entry.are_slides):  # and the units of totals
             slides["slides"] = [each for each in entry.joints if each in experiment.slides]
-            slides["units"] = {q.key: unit_over(q.unit, entry.are_slides) for q in QUANTITIES}
+            slides["units"] = {
+                q.key: unit_over(q.unit, entry.are_slides) for q in BATCH_QUANTITIES
+            }
         return {
             "file": experiment.path.name,
             "sha256": experiment.digest,
@@ -286,14 +290,16 @@ class StudyResult:
             "joints": joints,
             "itae_better": None if label == entry.baseline else better,
             "worst_last_error": last,
-            "is_settled": None if last is None else last < SETTLED,
+            "is_settled": None if last is None else last < SETTLED_ERROR,
             "is_certified": not refusals,
             "refusals": refusals,
         }
 
     def _numbers(self, entry: StudyEntry, label: str, joint: str) -> dict[str, object]:
         return {
-            name: {q.key: each.as_mapping() for q in QUANTITIES if (each := of(row, q, joint))}
+            name: {
+                q.key: each.as_mapping() for q in BATCH_QUANTITIES if (each := of(row, q, joint))
+            }
             for name, of in (("values", self.table.quartiles), ("ratios", self.table.ratios))
             for row in (entry.row(label),)
         }
@@ -302,7 +308,7 @@ class StudyResult:
         evidence = self.all_evidence(label)
         rows: list[dict[str, object]] = []
         for claim in CLAIMS:
-            kind, held = verdict(claim, evidence)
+            kind, held = claim_verdict(claim, evidence)
             figures = {name: claim.figure(each) for name, each in evidence.items()}
             row = {"key": claim.key, "claim": claim.text, "verdict": kind}
             rows.append({**row, "holds_in": list(held), "figures": figures})
@@ -323,9 +329,9 @@ def _claims(result: StudyResult, label: str) -> WideTable:
     evidence = result.all_evidence(label)
     rows = []
     for claim in CLAIMS:
-        kind, held = verdict(claim, evidence)
+        kind, held = claim_verdict(claim, evidence)
         says = f"{kind}: {', '.join(held)}" if kind.endswith("when") else kind
-        figures = [claim.figure(each) or NOTHING for each in evidence.values()]
+        figures = [claim.figure(each) or NO_NUMBER for each in evidence.values()]
         rows.append((claim.text, says, *figures))
     return WideTable.of_rows(
         ("claim", "verdict", *evidence),
@@ -346,9 +352,9 @@ def _loops(result: StudyResult) -> WideTable:
         for label in entry.experiment.controllers:
             last = result.worst_last_error(entry, label)
             refusals = result.refusals(entry, label)
-            settled = NOTHING if last is None else "yes" if last < SETTLED else "no"
+            settled = NO_NUMBER if last is None else "yes" if last < SETTLED_ERROR else "no"
             rows.append((entry.name, label, _error(last), settled, _certified(refusals)))
-    headings = ("experiment", "controller", heading, f"below {SETTLED:g}", "certified")
+    headings = ("experiment", "controller", heading, f"below {SETTLED_ERROR:g}", "certified")
     columns = columns_of(headings, rows, ("experiment", "controller", "certified"))
     return WideTable(
         columns[:2],
@@ -377,7 +383,9 @@ def _totals(result: StudyResult, entry: StudyEntry) -> WideTable:
                 cells += [value, _ratio_cell(table.ratios(entry.row(label), quantity))]
             rows.append(tuple(cells))
     wins = [_wins(result, entry, label) for label in entry.others]
-    rows.append(("ITAE lower in", NOTHING, *(cell for each in wins for cell in (each, NOTHING))))
+    rows.append(
+        ("ITAE lower in", NO_NUMBER, *(cell for each in wins for cell in (each, NO_NUMBER)))
+    )
     notes = [table.note(entry.row(label)) for label in labels]
     if any(notes):
         rows.append(("note", notes[0], *(cell for each in notes[1:] for cell in (each, ""))))
@@ -421,24 +429,24 @@ def _slides(entry: StudyEntry) -> str:
 
 
 def _error(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.4f}"
+    return NO_NUMBER if value is None else f"{value:.4f}"
 
 
 def _values(quartiles: Sequence[Quartiles | None]) -> list[str]:
     """Return medians with quartiles, the points of a column in line."""
     numbers = iter(format_values([x for each in quartiles if each for x in each]))
     texts = [None if each is None else [next(numbers) for _ in each] for each in quartiles]
-    return [NOTHING if each is None else _spread(*each) for each in texts]
+    return [NO_NUMBER if each is None else _spread(*each) for each in texts]
 
 
 def _ratio_cell(quartiles: Quartiles | None) -> str:
     if quartiles is None:
-        return NOTHING
+        return NO_NUMBER
     return _spread(*map(format_ratio, quartiles))
 
 
 def _median(quartiles: Quartiles | None) -> str:
-    return NOTHING if quartiles is None else format_ratio(quartiles.median)
+    return NO_NUMBER if quartiles is None else format_ratio(quartiles.median)
 
 
 def _spread(low: str, middle: str, high: str) -> str:
@@ -448,7 +456,7 @@ def _spread(low: str, middle: str, high: str) -> str:
 
 def _wins(result: StudyResult, entry: StudyEntry, label: str) -> str:
     if not result.table.seed_ratios(entry.row(label), ITAE):
-        return NOTHING
+        return NO_NUMBER
     return f"{result.evidence(entry, label).joints_better} of {len(entry.joints)}"
 
 
@@ -507,11 +515,11 @@ def run_study(
                 lines.flush()
                 advanced(record)
     finally:
-        save(result, folder, others())
+        save_study(result, folder, others())
     return result
 
 
-def save(result: StudyResult, folder: ResultFolder, others: Iterable[JournalEntry]) -> None:
+def save_study(result: StudyResult, folder: ResultFolder, others: Iterable[JournalEntry]) -> None:
     """Write the experiments, the numbers of all runs, the summary and the tables."""
     _begin(result, folder, others)
     folder.write("runs.csv", runs_csv(result))
@@ -522,7 +530,7 @@ def save(result: StudyResult, folder: ResultFolder, others: Iterable[JournalEntr
 
 def runs_csv(result: StudyResult) -> str:
     """Return every number of every run: of all judged joints, then joint by joint."""
-    keys = [quantity.key for quantity in QUANTITIES]
+    keys = [quantity.key for quantity in BATCH_QUANTITIES]
     rows: list[list[object]] = [[*RunKey._fields, "joint", *keys, "failure"]]
     for key in result.plan.tasks():
         record = result.records.get(key)

@@ -21,7 +21,7 @@ from hpid_bench.experiment.description import Experiment, with_robot
 from hpid_bench.experiment.result_folder import EXPERIMENT, ResultFolder, versions
 from hpid_bench.report.table import (
     ASCII_MARKS,
-    NOTHING,
+    NO_NUMBER,
     TableColumn,
     WideTable,
     styled,
@@ -36,7 +36,7 @@ from hpid_ros.metrics.texts import MARKS, format_values, ratio_cell, slides_note
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
 
-Value = float | str
+AxisValue = float | str
 
 WORLD_SETTINGS = {
     "payload": "payload_mass",
@@ -52,7 +52,7 @@ _FORMS = "NAME=START:STOP:COUNT or NAME=VALUE,VALUE,..."
 @dataclass(frozen=True)
 class Axis:
     name: str  # a loop's parameter or one of WORLD_SETTINGS
-    values: tuple[Value, ...]  # its values, each once, in the order given
+    values: tuple[AxisValue, ...]  # its values, each once, in the order given
 
     @classmethod
     def parse(cls, text: str) -> Axis:
@@ -71,19 +71,19 @@ class Axis:
                 values = _numbers(rest)
             if len(set(values)) < len(values):
                 doubled = next(value for value in values if values.count(value) > 1)
-                raise SettingError(f"{shown(doubled)} is there twice")
+                raise SettingError(f"{value_text(doubled)} is there twice")
         except SettingError as error:
             raise SettingError(f"--vary {text!r}: {error}") from None
         return cls(name, values)
 
 
-def shown(value: Value) -> str:
+def value_text(value: AxisValue) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else f"{value:.12g}"
 
 
-def _numbers(text: str) -> tuple[Value, ...]:
+def _numbers(text: str) -> tuple[AxisValue, ...]:
     if ":" not in text:
         return tuple(_number(part) for part in text.split(","))
     parts = text.split(":")
@@ -116,7 +116,7 @@ class Row:
     """One point of the grid, or the baseline on one of the grid's robots."""
 
     label: str  # the controller's label
-    values: Mapping[str, Value]  # the varied parameters that it sets, by name
+    values: Mapping[str, AxisValue]  # the varied parameters that it sets, by name
     baseline: int | None  # place among the rows of what it is measured against
     world: WorldSettings  # the robot; its seed is that of the experiment
     loops: tuple[LoopSettings, ...] = ()  # settings of each driven joint
@@ -125,7 +125,7 @@ class Row:
     @property
     def name(self) -> str:
         """The row in a few words."""
-        return " ".join([self.label, *(f"{k}={shown(v)}" for k, v in self.values.items())])
+        return " ".join([self.label, *(f"{k}={value_text(v)}" for k, v in self.values.items())])
 
 
 def rows_of(
@@ -145,7 +145,7 @@ def rows_of(
     return (*baselines, *points)
 
 
-def _combinations(axes: Sequence[Axis]) -> list[dict[str, Value]]:
+def _combinations(axes: Sequence[Axis]) -> list[dict[str, AxisValue]]:
     names = [axis.name for axis in axes]
     grid = itertools.product(*(axis.values for axis in axes))
     return [dict(zip(names, values, strict=True)) for values in grid]
@@ -176,7 +176,7 @@ def _has_inertia_of_model(loop: LoopSettings, experiment: Experiment) -> bool:
     return with_robot(bare, experiment.world, experiment.description).inertia == loop.inertia
 
 
-def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
+def _baseline(experiment: Experiment, values: Mapping[str, AxisValue]) -> Row:
     label, world = experiment.baseline, experiment.world
     try:
         changed = _changed_world(world, values, experiment.description)
@@ -192,7 +192,7 @@ def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
 
 
 def _changed_world(
-    world: WorldSettings, values: Mapping[str, Value], description: RobotDescription
+    world: WorldSettings, values: Mapping[str, AxisValue], description: RobotDescription
 ) -> WorldSettings:
     changes: dict[str, Any] = {}
     for name, value in values.items():
@@ -214,7 +214,7 @@ def _on_robot(
     """Return loops that know the encoder of the robot as they knew that of the one before."""
     known = []
     for each, old, new in zip(loops, before.encoders, after.encoders, strict=True):
-        is_as_fitted = each.encoder.resolution == old.resolution
+        is_as_fitted = each.encoder.encoder_resolution == old.resolution
         fitted = {"encoder_resolution": new.resolution} if is_as_fitted else {}
         known.append(each.with_parameters(fitted))
     return known
@@ -398,7 +398,7 @@ class SweepResult:
         names = [TableColumn("controller", labels, is_text=True)]
         for axis in sweep.axes:
             values = [row.values.get(axis.name) for row in sweep.rows]
-            texts = [NOTHING if each is None else shown(each) for each in values]
+            texts = [NO_NUMBER if each is None else value_text(each) for each in values]
             names.append(TableColumn(axis.name, texts))
         columns = []
         for quantity in PAPER:
@@ -409,15 +409,15 @@ class SweepResult:
             columns += [
                 TableColumn(
                     f"{quantity.symbol} [{unit_over(quantity.unit, sweep.are_slides)}]",
-                    [each[1] if each else NOTHING for each in spreads],
+                    [each[1] if each else NO_NUMBER for each in spreads],
                 ),
                 TableColumn(
                     "quartiles",
-                    [f"{each[0]}{dash}{each[2]}" if each else NOTHING for each in spreads],
+                    [f"{each[0]}{dash}{each[2]}" if each else NO_NUMBER for each in spreads],
                 ),
                 TableColumn(
                     "ratio",
-                    [styled(ratio_cell(x.median), marks) if x else NOTHING for x in ratios],
+                    [styled(ratio_cell(x.median), marks) if x else NO_NUMBER for x in ratios],
                 ),
             ]
         notes = [self.note(place) for place in range(len(sweep.rows))]

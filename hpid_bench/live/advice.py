@@ -24,7 +24,7 @@ from hpid_ros.stability.closed_loop import Certificate
 from hpid_ros.stability.gain_check import LoopKind, certified_degrees, kind_of
 from hpid_ros.stability.margins import loop_family, margins_of
 
-SETTLED = 0.02
+SETTLED_SHARE = 0.02
 """Of a step, within which a response counts as settled."""
 
 _LEAST_STEPS, _STEPS = 100, 3000  # of a response
@@ -40,12 +40,12 @@ _FREE = {
 
 
 @dataclass(frozen=True)
-class Response:
+class IdealStepResponse:
     """The answer of an ideal joint, its inertia alone, to a step of its reference."""
 
     times: tuple[float, ...]  # [s]
     errors: tuple[float, ...]  # share of the step that is left
-    settling: float  # [s] after which that stays within SETTLED; inf if it does not
+    settling: float  # [s] after which that stays within SETTLED_SHARE; inf if it does not
     overshoot: float  # share of the step
 
 
@@ -58,7 +58,7 @@ class Advice:
     phase: float = math.nan  # [deg] phase margin where the multiplier is 1
     delay: float = math.nan  # [s] delay margin there
     sensitivity: float = math.nan  # largest |S| there
-    response: Response | None = None  # to a step; None where the inertia is not known
+    response: IdealStepResponse | None = None  # to a step; None where the inertia is not known
     is_pending: bool = False  # whether the certificate is still being looked for
 
     @classmethod
@@ -67,7 +67,7 @@ class Advice:
         interval, response = values["interval"], values["response"]
         if response is not None:
             times, errors = (tuple(response[name]) for name in ("times", "errors"))
-            response = Response(**{**response, "times": times, "errors": errors})
+            response = IdealStepResponse(**{**response, "times": times, "errors": errors})
         return cls(**{**values, "interval": interval and tuple(interval), "response": response})
 
 
@@ -125,7 +125,7 @@ class Adviser:
         return self._known[kind]
 
 
-def response_to(settings: LoopSettings, step: float) -> Response:
+def response_to(settings: LoopSettings, step: float) -> IdealStepResponse:
     """Return the response of the loop itself, on a joint that is nothing but its inertia."""
     loop, inertia = JointLoop(settings.with_parameters(_FREE)), settings.plant_inertia
     period_ns = round(settings.timing.control_period * NANOSECONDS)
@@ -142,11 +142,11 @@ def response_to(settings: LoopSettings, step: float) -> Response:
         if not abs(position) < _LOST * abs(step):
             break
     times = [number * period for number in range(len(errors))]
-    unsettled = [at for at, left in zip(times, errors, strict=True) if abs(left) > SETTLED]
+    unsettled = [at for at, left in zip(times, errors, strict=True) if abs(left) > SETTLED_SHARE]
     settling = unsettled[-1] + period if unsettled[-1] < times[-1] else math.inf
     every = max(len(times) // _POINTS, 1)
     overshoot = max(0.0, -min(errors))
-    return Response(tuple(times[::every]), tuple(errors[::every]), settling, overshoot)
+    return IdealStepResponse(tuple(times[::every]), tuple(errors[::every]), settling, overshoot)
 
 
 def _count(settings: LoopSettings, period: float) -> int:

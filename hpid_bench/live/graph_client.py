@@ -23,13 +23,13 @@ from rclpy.qos import qos_profile_parameter_events
 from rclpy.subscription import Subscription
 from rclpy.task import Future as RosFuture
 
-from hpid_bench.live.controllers import (
+from hpid_bench.live.known_controllers import (
     READ_PARAMETERS,
     SILENT_AFTER,
     Answer,
     Change,
-    Controller,
     Health,
+    RunningController,
     RunningGraph,
     Samples,
 )
@@ -102,7 +102,7 @@ class GraphClient:
         self._changed_at = self._born = time.monotonic()  # the former: when one came last
         self._asked: dict[str, int] = {}  # how often, while there is no answer
         self._parameters: dict[str, dict[str, Any]] = {}  # as read, of all controllers here
-        self._controllers: Mapping[str, Controller] = {}
+        self._controllers: Mapping[str, RunningController] = {}
         self._topics: dict[str, ControllerTopics] = {}
         self._settled: set[str] = set()  # those whose topics the graph has told, all of them
         self._stale: dict[str, float] = {}  # when to read a controller again
@@ -123,7 +123,7 @@ class GraphClient:
 
     # What is seen
 
-    def controllers(self) -> Mapping[str, Controller]:
+    def controllers(self) -> Mapping[str, RunningController]:
         """Return the controllers that have been seen, by the full names of their nodes, sorted."""
         return self._controllers
 
@@ -381,7 +381,7 @@ class GraphClient:
         with self._lock:
             self._parameters[name] = parameters
         try:
-            found = Controller.of(name, parameters)
+            found = RunningController.of(name, parameters)
         except HpidError as error:
             self._node.get_logger().warning(f"{name} is not shown: {error}")
             return
@@ -419,7 +419,7 @@ class GraphClient:
             if name in self._controllers:
                 self._put(replace(self._controllers[name], **values))
 
-    def _put(self, controller: Controller) -> None:
+    def _put(self, controller: RunningController) -> None:
         with self._lock:
             known = {**self._controllers, controller.node: controller}
             self._controllers = {name: known[name] for name in sorted(known)}
@@ -523,7 +523,7 @@ def _samples(health: Health) -> int:
     return int(text) if text.isdecimal() else 0
 
 
-def _has_begun(seen: Controller) -> bool:
+def _has_begun(seen: RunningController) -> bool:
     """Return whether a controller takes states, or is not going to."""
     if seen.health is None:
         return False

@@ -8,17 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_bench.live.controllers import Samples
+from hpid_bench.live.known_controllers import Samples
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.settings import LoopSettings
 
-LONGEST = 60.0
+LONGEST_HISTORY = 60.0
 """Samples of so many seconds are kept."""
 
-MOST_SAMPLES = 200_000
+MOST_HISTORY_SAMPLES = 200_000
 _REFERENCES_APART, _STATES_APART = 2.0, 0.5  # [s], at most
 _EFFORTS_OVER = 0.5  # [s]
 _LATELY = 0.5  # [s]
@@ -43,7 +43,7 @@ class Track:
 
     def append(self, rows: Numbers) -> None:
         """Append rows, and forget those that are too old or too many."""
-        rows = rows[-MOST_SAMPLES:]
+        rows = rows[-MOST_HISTORY_SAMPLES:]
         if not len(rows):
             return
         if self._end + len(rows) > len(self._rows):
@@ -51,8 +51,8 @@ class Track:
         self._rows[self._end : self._end + len(rows)] = rows
         self._end += len(rows)
         times = self._rows[self._first : self._end, 0]
-        self._first += int(np.searchsorted(times, times[-1] - LONGEST))
-        self._first = max(self._first, self._end - MOST_SAMPLES)
+        self._first += int(np.searchsorted(times, times[-1] - LONGEST_HISTORY))
+        self._first = max(self._first, self._end - MOST_HISTORY_SAMPLES)
 
     def _make_room(self, count: int) -> None:
         kept = self.rows.copy()
@@ -219,13 +219,13 @@ class JointHistory:
         """Return velocities at times: measured, or differences over what the filter remembers."""
         if np.isfinite(states[-1, 2]):
             return np.asarray(np.interp(times, states[:, 0], np.nan_to_num(states[:, 2])))
-        lag = max(2.0 * self._settings.velocity.filter_time_constant, 1e-3)
+        lag = max(2.0 * self._settings.velocity.velocity_filter_time_constant, 1e-3)
         ends = [np.interp(t, states[:, 0], states[:, 1]) for t in (times - lag, times)]
         return np.asarray((ends[1] - ends[0]) / lag)
 
     def _off(self, differences: Numbers) -> Numbers:
         """Return errors; of an encoder that starts again, those the shorter way round."""
-        wrap = self._settings.encoder.wrap
+        wrap = self._settings.encoder.encoder_wrap
         if wrap <= 0.0:
             return differences
         return np.asarray(differences - wrap * np.rint(differences / wrap))

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO, Any, Literal, NamedTuple
 
 from hpid_bench.experiment.processes import NodeGroup, NodeProcess, Process, parameters
-from hpid_bench.live.controllers import Controller, RunningGraph
+from hpid_bench.live.known_controllers import RunningController, RunningGraph
 from hpid_bench.tuning.autotune import RelayCycle, relay_cycle
 from hpid_bench.tuning.identification.identify import identify
 from hpid_bench.tuning.identification.joint_identification import JointIdentification
@@ -98,10 +98,10 @@ RECORDER = "hpid_excitation_recorder"
 _LOOK_PERIOD = 0.05  # [s]
 _ENDINGS = ("done", "stopped", "failed")
 
-RELEASED = "the button was released"
+BUTTON_RELEASED = "the button was released"
 """Why a motion that is held has ended: nobody has said for a while that it is."""
 
-Tell = Callable[[str, float], None]
+TellMotion = Callable[[str, float], None]
 """Is called with the event, ``begun`` or ``at``, and the time since the start in [s].
 
 Where a button must be held also with ``ready``.
@@ -134,7 +134,7 @@ def carried_out(
     graph: RunningGraph,
     namespace: str,
     bag: Path,
-    tell: Tell,
+    tell: TellMotion,
     button: Button | None = None,
 ) -> Ending:
     """Run a process that moves joints, and record; however it ends, it has let the joints rest."""
@@ -192,7 +192,7 @@ def _watched(
     mover: Mover,
     process: NodeProcess,
     recorder: NodeProcess,
-    tell: Tell,
+    tell: TellMotion,
     button: Button,
     *,
     is_own: bool,  # whether this process presses it, and no person
@@ -209,7 +209,7 @@ def _watched(
             if recorder.process.poll() is not None:
                 return _stopped(mover, process, f"the recorder has ended: {recorder.last_words()}")
             if button.is_overdue():
-                return _stopped(mover, process, RELEASED)
+                return _stopped(mover, process, BUTTON_RELEASED)
             time.sleep(_LOOK_PERIOD)
     except KeyboardInterrupt:
         return _stopped(mover, process, "it was interrupted", is_interrupted=True)
@@ -238,7 +238,7 @@ def _by_itself(mover: Mover, process: NodeProcess) -> str:
     return f"{mover.name} has ended by itself ({process.last_words()}): {mover.unless_stopped}"
 
 
-def _ending(mover: Mover, process: NodeProcess, tell: Tell) -> Ending | None:
+def _ending(mover: Mover, process: NodeProcess, tell: TellMotion) -> Ending | None:
     has_ended = process.process.poll() is not None
     for event in process.read_events():
         kind = event["event"]
@@ -269,7 +269,7 @@ _UNLIMITED = 1e6  # what parameters say where there is no limit
 _REFERENCE_PERIODS, _LEAST_REFERENCE_TIMEOUT = 5.0, 0.5  # of ~/reference; [s]
 
 
-def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[Controller]:
+def chosen_controllers(graph: RunningGraph, joints: Sequence[str]) -> list[RunningController]:
     """Return the controllers of the joints that are to be excited, in their order."""
     for joint in joints:
         if joint not in graph.controllers:
@@ -292,7 +292,7 @@ def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[Controller]:
     return found
 
 
-def bounds_of(controller: Controller, inertia: float | None) -> JointBounds:
+def bounds_of(controller: RunningController, inertia: float | None) -> JointBounds:
     settings, limits = controller.settings, controller.limits
     known = inertia or settings.inertia
     if not known and settings.model.is_decoupling:
@@ -314,7 +314,7 @@ def bounds_of(controller: Controller, inertia: float | None) -> JointBounds:
         known or inertia_from_gains(settings.gains.p, settings.gains.d),
         not known,
         limits.is_slide,
-        is_endless=limits.is_continuous or settings.encoder.wrap > 0.0,
+        is_endless=limits.is_continuous or settings.encoder.encoder_wrap > 0.0,
     )
 
 
@@ -324,10 +324,10 @@ def _limit(value: float) -> float:
 
 def carry_out(
     plan: ExcitationPlan,
-    controllers: Sequence[Controller],
+    controllers: Sequence[RunningController],
     graph: RunningGraph,
     bag: Path,
-    tell: Tell,
+    tell: TellMotion,
     button: Button | None = None,
     ends_at: Sequence[float] | None = None,
 ) -> Ending:
@@ -358,7 +358,7 @@ class HeldMotion:
     def __init__(
         self,
         plan: ExcitationPlan,
-        controllers: Sequence[Controller],
+        controllers: Sequence[RunningController],
         graph: RunningGraph,
         bag: Path,
         within: float = HELD_WITHIN,
@@ -400,10 +400,10 @@ _UNSURE = 0.15  # of an inertia that only the limit cycle tells
 
 def carry_out_relay(
     planned: PlannedRelay,
-    controller: Controller,
+    controller: RunningController,
     graph: RunningGraph,
     bag: Path,
-    tell: Tell,
+    tell: TellMotion,
 ) -> Ending:
     """Have a relay drive a joint for some cycles, and record it."""
     mover = Mover(
@@ -426,7 +426,9 @@ class RelayFindings(NamedTuple):
     is_by_cycle: bool  # whether the inertia is the limit cycle's, for want of a better one
 
 
-def relay_findings(bag: Path, controller: Controller, planned: PlannedRelay) -> RelayFindings:
+def relay_findings(
+    bag: Path, controller: RunningController, planned: PlannedRelay
+) -> RelayFindings:
     joint = controller.joint
     recording = read_run(bag, "relay", joints=[joint], progress=lambda share: None)
     (series,) = recording.joints

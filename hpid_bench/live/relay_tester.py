@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 
 from hpid_bench.live.exciter import MovingNode
 from hpid_ros.base.names import ALLOW_RELAY
-from hpid_ros.control.overrides import DONE
+from hpid_ros.control.overrides import CYCLES_DONE
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import RARE
 
@@ -57,7 +57,7 @@ class RelayTester(MovingNode):
             self._was_in_force = True
         elif self._was_in_force:
             ending = relay.rpartition(";")[0] or f"{self._controller} knows of no relay any more"
-            self._end("" if ending == DONE else ending)
+            self._end("" if ending == CYCLES_DONE else ending)
         elif self._told.get("refused references") != self._refused:
             self._end(self._told.get("last fault", "the relay was refused"))
 

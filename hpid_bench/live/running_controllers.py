@@ -12,12 +12,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from hpid_bench.live.controllers import Controller, RunningGraph
 from hpid_bench.live.graph_client import GraphClient, StateOf
 from hpid_bench.live.history import JointHistory
+from hpid_bench.live.known_controllers import RunningController, RunningGraph
 from hpid_bench.live.streams import ControllerTopics, Watching
 from hpid_ros.base.errors import RunError
-from hpid_ros.control.controller_files import settings_from_parameters
+from hpid_ros.control.parameter_files import settings_from_parameters
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.reading.topic_choice import is_below
 from hpid_ros.nodes.core.middleware import destroy_when_quiet, load_profile
@@ -27,7 +27,7 @@ _FOUND_WITHIN = 12.0  # [s]; on a busy machine other nodes are found before the 
 _STATES_WITHIN = 3.0  # [s] for the first state
 _LISTENS_FOR = 0.5  # [s] from then on
 
-Spin = Callable[[Callable[[], bool], float], None]
+SpinOnce = Callable[[Callable[[], bool], float], None]
 """Goes on until a condition holds, or for so long, in [s]."""
 
 
@@ -36,7 +36,7 @@ class _Reading(NamedTuple):
 
     node: Node
     client: GraphClient
-    spin: Spin
+    spin: SpinOnce
     found: dict[str, dict[str, Any]]  # parameters of the controllers, by their nodes
 
 
@@ -89,12 +89,14 @@ def running_graph(states: str = "joint_states", namespace: str | None = None) ->
     below = f"/{namespace.strip('/')}" if namespace else ""
     with _reading(below) as reading:
         _loops(reading.found, below)
-        controllers = [Controller.of(name, each) for name, each in reading.found.items()]
+        controllers = [RunningController.of(name, each) for name, each in reading.found.items()]
         state_of = _listened(reading.node, controllers, states, reading.spin)
         return reading.client.running(list(reading.found), state_of, states)
 
 
-def _listened(node: Node, controllers: Sequence[Controller], states: str, spin: Spin) -> StateOf:
+def _listened(
+    node: Node, controllers: Sequence[RunningController], states: str, spin: SpinOnce
+) -> StateOf:
     """Return what returns positions and mean efforts of joints."""
     watching = Watching(node)
     watching.watch(

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hpid_bench.live.advice import Advice, AdviceClient
-from hpid_bench.live.controllers import Answer, Change, Controller, Samples
 from hpid_bench.live.history import JointHistory
+from hpid_bench.live.known_controllers import Answer, Change, RunningController, Samples
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.text import bounded
 from hpid_ros.base.yaml_files import parse_yaml
 from hpid_ros.base.yaml_text import dump_yaml
-from hpid_ros.control.controller_files import given_parameters
+from hpid_ros.control.parameter_files import parameters_in_file
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ _TOLERANCE = 1e-12
 Values = Mapping[str, Value]
 
 
-class Range(NamedTuple):
+class SliderRange(NamedTuple):
     """The ends of a slider."""
 
     low: float  # least value
@@ -54,18 +54,18 @@ class Range(NamedTuple):
     is_logarithmic: bool  # whether equal ways are equal factors
 
 
-def slider_range(name: str, first: float, error_scale: float = 0.0) -> Range:
+def slider_range(name: str, first: float, error_scale: float = 0.0) -> SliderRange:
     """Return a sensible range of a parameter.
 
     A gain goes from a tenth to ten times of where it stood at first. Beyond that there is its
     field, up to what the parameter allows.
     """
     if name == "mu":
-        return Range(-0.4999, 0.4999, is_logarithmic=False)
+        return SliderRange(-0.4999, 0.4999, is_logarithmic=False)
     centre = first if first > 0.0 else error_scale
     if centre <= 0.0:
-        return Range(0.0, 10.0, is_logarithmic=False)
-    return Range(0.1 * centre, 10.0 * centre, is_logarithmic=True)
+        return SliderRange(0.0, 10.0, is_logarithmic=False)
+    return SliderRange(0.1 * centre, 10.0 * centre, is_logarithmic=True)
 
 
 def same(one: Value, other: Value) -> bool:
@@ -75,7 +75,7 @@ def same(one: Value, other: Value) -> bool:
     return one == other
 
 
-def differences(before: Values, after: Values) -> dict[str, Value]:
+def changed_values(before: Values, after: Values) -> dict[str, Value]:
     """Return what is other in the second, of the names that it has."""
     return {
         name: value
@@ -85,7 +85,7 @@ def differences(before: Values, after: Values) -> dict[str, Value]:
 
 
 @dataclass(frozen=True)
-class Step:
+class TuningStep:
     """One thing that a person did: what it set on which controllers, and what was there."""
 
     what: str  # in words
@@ -105,7 +105,7 @@ class Tuning:
     in_force: dict[str, dict[str, Value]] = field(default_factory=dict)
     staged: dict[str, dict[str, Value]] = field(default_factory=dict)
     snapshots: dict[str, dict[str, Values]] = field(default_factory=dict)
-    done: deque[Step] = field(default_factory=lambda: deque(maxlen=_DEPTH))
+    done: deque[TuningStep] = field(default_factory=lambda: deque(maxlen=_DEPTH))
 
     def see(self, node: str, values: Values) -> None:
         """Take note of what is active on a controller.
@@ -115,7 +115,7 @@ class Tuning:
         self.first.setdefault(node, dict(values))
         self.in_force[node] = dict(values)
         if node in self.staged:
-            self.staged[node] = differences(values, self.staged[node])
+            self.staged[node] = changed_values(values, self.staged[node])
 
     def value(self, node: str, name: str) -> Value:
         """Return a parameter as it is chosen: staged, or active."""
@@ -127,7 +127,7 @@ class Tuning:
         checked = PARAMETERS[name].checked(value)
         for node in nodes:
             chosen = {**self.staged.get(node, {}), name: checked}
-            self.staged[node] = differences(self.in_force[node], chosen)
+            self.staged[node] = changed_values(self.in_force[node], chosen)
 
     def stage_factor(self, nodes: Sequence[str], name: str, factor: float) -> None:
         """Choose so many times what is active, on each controller its own."""
@@ -186,7 +186,7 @@ class Tuning:
         """Take note of sets that controllers took."""
         if taken:
             kept = {node: {name: before[node][name] for name in taken[node]} for node in taken}
-            self.done.append(Step(what, kept, taken))
+            self.done.append(TuningStep(what, kept, taken))
 
     def undoing(self) -> dict[str, Values]:
         """Return the sets that take the newest step back, without what somebody changed since."""
@@ -219,7 +219,7 @@ class Tuning:
     def towards(self, values: Mapping[str, Values]) -> dict[str, Values]:
         """Return the sets after which controllers have these values."""
         found = {
-            node: differences(self.in_force.get(node, wanted), wanted)
+            node: changed_values(self.in_force.get(node, wanted), wanted)
             for node, wanted in values.items()
         }
         return {node: other for node, other in found.items() if other}
@@ -235,7 +235,7 @@ class Tuning:
             own = own or [each for each in anywhere if each["joint"] == values["joint"]]
             if own:
                 wanted = {**own[0], "joint": values["joint"]}
-                self.staged[node] = differences(values, wanted)
+                self.staged[node] = changed_values(values, wanted)
                 found.append(node)
         if not found:
             names = ", ".join(loops) or "none"
@@ -337,7 +337,7 @@ class LiveSession:
     # What is seen
 
     @property
-    def controllers(self) -> Mapping[str, Controller]:
+    def controllers(self) -> Mapping[str, RunningController]:
         return self.graph.controllers()
 
     def label(self, node: str) -> str:
@@ -372,13 +372,13 @@ class LiveSession:
             self.history(node).retune(controller.settings)
         changes = [each for each in self.graph.changes() if each.node in seen]
         for change in changes:
-            self.say(f"{self.label(change.node)}: {shown(change.values)}")
+            self.say(f"{self.label(change.node)}: {values_line(change.values)}")
         for node, each in (self.graph.take() if samples is None else samples).items():
             if node in seen:
                 self.history(node).append(each)
         return {node: self.history(node).drawn() for node in watched}, changes
 
-    def _note_arrivals(self, seen: Mapping[str, Controller]) -> None:
+    def _note_arrivals(self, seen: Mapping[str, RunningController]) -> None:
         for node, each in seen.items():
             if self._here.get(node) == each.is_here:
                 continue
@@ -572,7 +572,7 @@ class LiveSession:
         """Stage what a parameter file says."""
         name = Path(name).name
         content = parse_yaml(name, text, SettingError)
-        nodes = self.tuning.stage_loops(given_parameters(content, name))
+        nodes = self.tuning.stage_loops(parameters_in_file(content, name))
         self.say(f"{name}: staged for {', '.join(map(self.label, nodes))}")
         return nodes
 
@@ -585,7 +585,7 @@ def name_shown(name: str) -> str:
     return bounded(name, _LONGEST_NAME)
 
 
-def shown(values: Values) -> str:
+def values_line(values: Values) -> str:
     """Return parameters with their values in a line."""
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"

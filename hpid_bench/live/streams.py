@@ -18,7 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
-from hpid_bench.live.controllers import Samples
+from hpid_bench.live.known_controllers import Samples
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.columns import FLOAT64, FLOAT64_MULTI_ARRAY, JOINT_STATE, Integers
 from hpid_ros.messages.joint_state import (

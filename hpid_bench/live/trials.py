@@ -17,9 +17,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_bench.live.controllers import Controller, RunningGraph
-from hpid_bench.live.motion import HELD_WITHIN, RELEASED, Ending, HeldMotion, bounds_of, chosen
-from hpid_bench.live.session import LiveSession, Values, differences, same
+from hpid_bench.live.known_controllers import RunningController, RunningGraph
+from hpid_bench.live.motion import (
+    BUTTON_RELEASED,
+    HELD_WITHIN,
+    Ending,
+    HeldMotion,
+    bounds_of,
+    chosen_controllers,
+)
+from hpid_bench.live.session import LiveSession, Values, changed_values, same
 from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.base.text import bounded
 from hpid_ros.control.settings import Value
@@ -49,7 +56,7 @@ class Tried:
             node: {
                 name
                 for each in variants
-                for name in differences(had, (each.values or {}).get(node, {}))
+                for name in changed_values(had, (each.values or {}).get(node, {}))
             }
             for node, had in before.items()
         }
@@ -140,13 +147,13 @@ _THERE = 1e-3  # [rad] or [m] from where the first motion began
 class MotionWish(NamedTuple):
     """A motion that a person wants."""
 
-    kind: str = "minimum_jerk"  # one of KINDS
+    kind: str = "minimum_jerk"  # one of MOTION_KINDS
     amplitude: float = 0.1  # [rad] or [m], at most; the joints' limits may make it less
     duration: float = 4.0  # [s] of the whole
     share: float = 0.5  # of the limits of each joint that it may use
 
 
-KINDS = {
+MOTION_KINDS = {
     "minimum_jerk": "there and back, smooth (minimum jerk)",
     "step": "there and back, as fast as the limits allow",
     "sine": "sine",
@@ -154,7 +161,7 @@ KINDS = {
 """The kinds of motion."""
 
 
-class Stage(Enum):
+class TrialStage(Enum):
     """How far a trial is."""
 
     IDLE = "nothing is under way"
@@ -170,7 +177,7 @@ class Trials:
 
     def __init__(self, session: LiveSession, within: float = HELD_WITHIN) -> None:
         self._session, self._within = session, within
-        self._stage = Stage.IDLE
+        self._stage = TrialStage.IDLE
         self.said, self.is_bad = "", False
         self.result: TrialResult | None = None
         self._page = ""
@@ -188,18 +195,18 @@ class Trials:
         self.number = self.count = 0
 
     @property
-    def stage(self) -> Stage:
-        is_ending = self._end and self._stage is not Stage.IDLE
-        return Stage.ENDING if is_ending else self._stage
+    def stage(self) -> TrialStage:
+        is_ending = self._end and self._stage is not TrialStage.IDLE
+        return TrialStage.ENDING if is_ending else self._stage
 
     @property
     def is_idle(self) -> bool:
-        return self._stage is Stage.IDLE
+        return self._stage is TrialStage.IDLE
 
     @property
     def seconds_left(self) -> float | None:
         """For how long the button has to be held from now on, in [s]; None while nothing moves."""
-        is_moving = self.stage is Stage.MOVING
+        is_moving = self.stage is TrialStage.MOVING
         return max(self._ends_at - time.monotonic(), 0.0) if is_moving else None
 
     def plan(self, nodes: Sequence[str], wish: MotionWish) -> ExcitationPlan:
@@ -207,7 +214,7 @@ class Trials:
 
     def _planned(
         self, nodes: Sequence[str], wish: MotionWish
-    ) -> tuple[ExcitationPlan, list[Controller], RunningGraph]:
+    ) -> tuple[ExcitationPlan, list[RunningController], RunningGraph]:
         if not nodes:
             raise SettingError("choose a joint")
         if not 0.0 < wish.duration <= _LARGEST_TIME:
@@ -219,12 +226,12 @@ class Trials:
         design = Design(kind=wish.kind, duration=wish.duration, are_together=True)  # type: ignore[arg-type]
         return plan(bounds, Wish(wish.share, wish.amplitude), design), controllers, graph
 
-    def _running(self, nodes: Sequence[str]) -> tuple[list[Controller], RunningGraph]:
+    def _running(self, nodes: Sequence[str]) -> tuple[list[RunningController], RunningGraph]:
         if inactive := self._inactive(nodes):
             raise SettingError(inactive)
         session = self._session
         graph = session.graph.running(nodes, lambda node: session.history(node).state)
-        return chosen(graph, []), graph
+        return chosen_controllers(graph, []), graph
 
     # The button
 
@@ -233,7 +240,7 @@ class Trials:
 
         A press that comes before the motion is ready does not count until it is let go.
         """
-        if page != self._page or self._is_ignored or self._end or self.stage is Stage.IDLE:
+        if page != self._page or self._is_ignored or self._end or self.stage is TrialStage.IDLE:
             return
         motion = self._motion
         if motion is not None and motion.stage in ("ready", "moving"):
@@ -251,7 +258,7 @@ class Trials:
             return
         was_pressed, was_ignored = self._is_held, self._is_ignored
         self._is_held = self._is_ignored = False
-        if was_ignored and self.stage is Stage.READY:
+        if was_ignored and self.stage is TrialStage.READY:
             self._say(self._call)
         # Who was pressed may move already, and not have said so yet.
         begun = ("ready", "moving") if was_pressed else ("moving",)
@@ -264,7 +271,7 @@ class Trials:
 
         The reason is said on the page.
         """
-        if self.stage is Stage.IDLE:
+        if self.stage is TrialStage.IDLE:
             return
         if not self._end:
             self._end = self.said = why
@@ -317,10 +324,10 @@ class Trials:
         controllers are set back to what they were before, each that is there, and what was
         measured until then is its result. What somebody else sets meanwhile stays.
         """
-        if self.stage is not Stage.IDLE:
+        if self.stage is not TrialStage.IDLE:
             self._say("another trial is under way", is_bad=True)
             return
-        self._page, self._stage = page, Stage.PREPARING
+        self._page, self._stage = page, TrialStage.PREPARING
         self._is_held = self._is_ignored = False
         self._end, self._start = "", dict(start or {})
         self._here_at = time.monotonic()
@@ -350,7 +357,7 @@ class Trials:
         except OSError as error:
             self._say(str(error), is_bad=True)
         finally:
-            self._motion, self._tried, self._stage = None, None, Stage.IDLE
+            self._motion, self._tried, self._stage = None, None, TrialStage.IDLE
 
     async def _carry_out(
         self,
@@ -416,7 +423,7 @@ class Trials:
             if not ending.reason:
                 break
             self._explain(ending, label)
-        self._stage = Stage.MEASURING
+        self._stage = TrialStage.MEASURING
         self._say(f"{label}: measuring, let go")
         measuring = asyncio.ensure_future(
             asyncio.to_thread(measure_motion, bag, variant.label, planned)
@@ -482,7 +489,7 @@ class Trials:
     async def _ending(
         self, motion: HeldMotion, nodes: Sequence[str], label: str, duration: float
     ) -> Ending:
-        self._motion, self._stage, self._is_released = motion, Stage.PREPARING, False
+        self._motion, self._stage, self._is_released = motion, TrialStage.PREPARING, False
         self._say(f"{label}: preparing")
         while motion.stage != "ended":
             self._note_presence()
@@ -490,13 +497,16 @@ class Trials:
                 self.cancel()
             elif inactive := self._inactive(nodes):
                 self.cancel(inactive)
-            if motion.stage == "ready" and self.stage is Stage.PREPARING:
-                self._stage = Stage.READY
+            if motion.stage == "ready" and self.stage is TrialStage.PREPARING:
+                self._stage = TrialStage.READY
                 self._call = f"{label}: hold the button, {duration:.1f} s"
                 too_early = f"{label}: ready: let go, then hold the button"
                 self._say(too_early if self._is_ignored else self._call)
-            elif motion.stage == "moving" and self.stage in (Stage.PREPARING, Stage.READY):
-                self._stage, self._ends_at = Stage.MOVING, time.monotonic() + duration
+            elif motion.stage == "moving" and self.stage in (
+                TrialStage.PREPARING,
+                TrialStage.READY,
+            ):
+                self._stage, self._ends_at = TrialStage.MOVING, time.monotonic() + duration
                 self._say(f"{label}: moving")
             await asyncio.sleep(_LOOK_PERIOD)
         self._is_ignored |= self._is_held  # the next motion wants a press of its own
@@ -509,7 +519,7 @@ class Trials:
         rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
         if self._end:
             raise RunError(f"{self._end}{rest}")
-        if not ending.reason.startswith(RELEASED) or rest:
+        if not ending.reason.startswith(BUTTON_RELEASED) or rest:
             raise RunError(f"stopped: {self._why(ending)}{rest}")
         self._say(f"{label}: stopped: {self._why(ending)}; hold it once more", is_bad=True)
 
@@ -541,7 +551,7 @@ class Trials:
     async def _set(self, number: int, variant: Variant, tried: Tried) -> None:
         """Have controllers take what is next; who wants a certificate may compute it first."""
         self._require_wanted()
-        self._stage, self.number = Stage.PREPARING, number + 1
+        self._stage, self.number = TrialStage.PREPARING, number + 1
         label, wanted, seen = variant.label, tried.wanted(variant), self._session.controllers
         patience = _CERTIFIED_WITHIN if any(seen[n].requires_certificate for n in wanted) else 0.0
         for _ in range(1 + round(patience / _ASKED_EVERY)):
@@ -554,7 +564,7 @@ class Trials:
         raise RunError(f"{label} was refused")
 
     def _why(self, ending: Ending) -> str:
-        if ending.reason == RELEASED and not self._is_released:
+        if ending.reason == BUTTON_RELEASED and not self._is_released:
             return (
                 f"nothing was heard of the button for {self._within:g} s, page, network or "
                 f"computer are slow (hpid live --button-timeout)"

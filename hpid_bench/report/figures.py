@@ -16,7 +16,7 @@ from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.units import Numbers, of_slide, unit_over
 from hpid_ros.messages.series import JointSeries, RunSeries, seconds_since
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.gain_signals import Gains
+from hpid_ros.metrics.gain_signals import RunGainSignals
 from hpid_ros.metrics.indices import amplitude_density
 from hpid_ros.metrics.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, Data, Quantity
 from hpid_ros.metrics.results import RunIndices
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
 INK = "#20242b"
 GRID = "#dfe2e7"
-PAPER = "#ffffff"
-REFERENCE = "#b4bac4"
+BACKGROUND = "#ffffff"
+REFERENCE_COLOR = "#b4bac4"
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def figures_of(
     samples: int,
     *,
     repeats: Sequence[RunIndices] = (),
-    gains: Gains | None = None,
+    gains: RunGainSignals | None = None,
     paths: Sequence[EndEffectorPath] = (),
 ) -> list[Figure]:
     """Return all figures that would not be empty, each line of at most so many samples."""
@@ -172,7 +172,11 @@ SignalOf = Callable[[JointSeries], Signal]
 
 class _RunFigures:
     def __init__(
-        self, comparison: Comparison, runs: Sequence[RunSeries], samples: int, gains: Gains
+        self,
+        comparison: Comparison,
+        runs: Sequence[RunSeries],
+        samples: int,
+        gains: RunGainSignals,
     ) -> None:
         self._numbers = comparison.runs
         labels = [run.label for run in comparison.runs]

@@ -23,9 +23,9 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
 
 from hpid_bench.report.figures import (
+    BACKGROUND,
     INK,
     NO_RUN,
-    PAPER,
     RUN_STYLES,
     Figure,
     Line,
@@ -58,7 +58,7 @@ Stamps = NDArray[np.int64]
 
 MOST_RUNS = 4
 MOST_FRAMES = 1500
-LONGEST = 10.0  # an animation that is longer is shown faster where nobody says how fast, in [s]
+LONGEST_ANIMATION = 10.0  # [s]; a longer one is shown faster where nobody says how fast
 _SHORTEST = 1e-3  # [s]
 
 
@@ -96,7 +96,7 @@ class FilmSettings(Record):
             raise SettingError(
                 f"from {start:g} s to {end:g} s is not within the runs, which take {duration:g} s"
             )
-        speed = self.speed or max(1.0, float(np.ceil((end - start) / LONGEST)))
+        speed = self.speed or max(1.0, float(np.ceil((end - start) / LONGEST_ANIMATION)))
         step = self.period_ms * 1e-3 * speed
         count = int((end - start) / step + 1e-6) + 1
         if count > MOST_FRAMES:
@@ -360,7 +360,7 @@ class _Page:
         self._window, self._box = window, panel.get_window_extent()
 
     def frame(self, instant: float, pictures: Sequence[Pixels]) -> Image.Image:
-        frame = Image.new("RGB", self._size, PAPER)
+        frame = Image.new("RGB", self._size, BACKGROUND)
         pen = ImageDraw.Draw(frame)
         middle = self._header // 2 + 2
         for k, (run, picture) in enumerate(zip(self._runs, pictures, strict=True)):

@@ -22,12 +22,20 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
-from hpid_bench.report.figures import GRID, INK, REFERENCE, RUN_STYLES, Figure, Line, figures_of
+from hpid_bench.report.figures import (
+    GRID,
+    INK,
+    REFERENCE_COLOR,
+    RUN_STYLES,
+    Figure,
+    Line,
+    figures_of,
+)
 from hpid_ros.base.text import shown
 from hpid_ros.messages.quality_lines import QUALITY_COLUMNS, quality_rows
 from hpid_ros.messages.series import RunSeries, SeriesError
 from hpid_ros.metrics.comparison import Comparison, Verdict, answer
-from hpid_ros.metrics.gain_signals import Gains
+from hpid_ros.metrics.gain_signals import RunGainSignals
 from hpid_ros.metrics.measure import Parameters
 from hpid_ros.metrics.quantities import QUANTITIES, Quantity
 from hpid_ros.metrics.results import RunIndices
@@ -54,7 +62,7 @@ SPOKEN = {
 }
 """Verdicts in a word, for screen readers."""
 
-NOTHING = "–"  # what stands in the place of a value that there is not
+NO_VALUE = "–"  # what stands in the place of a value that there is not
 
 
 @dataclass(frozen=True)
@@ -170,7 +178,7 @@ Block: TypeAlias = (
 def value_text(value: object) -> str:
     """Return a setting or a fact as a text."""
     if value is None:
-        return NOTHING
+        return NO_VALUE
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):
@@ -192,7 +200,7 @@ def _flatten(entries: Mapping[str, object], prefix: str = "") -> Iterable[tuple[
 
 
 def _is_number(text: str) -> bool:
-    if text == NOTHING:
+    if text == NO_VALUE:
         return True
     try:
         float(text)
@@ -379,7 +387,7 @@ def render_report(
     *,
     warnings: Sequence[str] = (),
     repeats: Sequence[RunIndices] = (),
-    gains: Gains | None = None,
+    gains: RunGainSignals | None = None,
     paths: Sequence[EndEffectorPath] = (),
 ) -> str:
     labels = [run.label for run in comparison.runs]
@@ -442,7 +450,11 @@ PIXELS_PER_POINT = 4.0 / 3.0
 
 
 def page_figures(
-    comparison: Comparison, runs: Sequence[RunSeries], *, gains: Gains | None = None, **more: Any
+    comparison: Comparison,
+    runs: Sequence[RunSeries],
+    *,
+    gains: RunGainSignals | None = None,
+    **more: Any,
 ) -> list[Figure]:
     """Return :func:`.figures_of` runs, as detailed as keeps a page small."""
     joints = max((len(run.joint_names) for run in runs), default=1)
@@ -504,7 +516,7 @@ def style_sheet() -> Markup:
     colors = palette.render(
         ink=INK,
         grid=GRID,
-        reference=REFERENCE,
+        reference=REFERENCE_COLOR,
         light_runs=[(style.color, style.tint) for style in RUN_STYLES],
         dark_runs=DARK_RUNS,
     )

@@ -33,11 +33,11 @@ from matplotlib.ticker import (
 )
 
 from hpid_bench.report.figures import (
+    BACKGROUND,
     GRID,
     INK,
     NO_RUN,
-    PAPER,
-    REFERENCE,
+    REFERENCE_COLOR,
     RUN_STYLES,
     Figure,
     Line,
@@ -78,7 +78,7 @@ _RC = {
     "legend.handlelength": 3.2,
     "lines.scale_dashes": False,
     "pdf.fonttype": 42,
-    "savefig.facecolor": PAPER,
+    "savefig.facecolor": BACKGROUND,
     "svg.fonttype": "none",
     "svg.hashsalt": "hpid_ros",
     "text.color": INK,
@@ -116,7 +116,7 @@ def ratio_ticks(axis: Axis) -> None:
 
 
 # Beyond these, zeros would crowd out the digits.
-SMALLEST_PLAIN, LARGEST_PLAIN = 1e-4, 1e7
+SMALLEST_PLAIN_TICK, LARGEST_PLAIN_TICK = 1e-4, 1e7
 MOST_DECIMALS = 9
 
 
@@ -136,7 +136,7 @@ class TickLabels(Formatter):
         step = min((abs(b - a) for a, b in itertools.pairwise(values)), default=largest)
         if step <= 0.0:
             return [self(value) for value in values]
-        if SMALLEST_PLAIN <= largest < LARGEST_PLAIN:
+        if SMALLEST_PLAIN_TICK <= largest < LARGEST_PLAIN_TICK:
             decimals = next(
                 (d for d in range(MOST_DECIMALS) if abs(round(step, d) - step) < 1e-3 * step),
                 MOST_DECIMALS,
@@ -238,7 +238,7 @@ _METADATA: Mapping[str, dict[str, Any]] = {
 
 
 @figure_style()
-def render(drawing: Drawing, form: str, transparent: bool = False) -> bytes:
+def drawing_bytes(drawing: Drawing, form: str, transparent: bool = False) -> bytes:
     """Return a drawing as the bytes of a file; the same one gives the same bytes."""
     buffer = io.BytesIO()
     drawing.savefig(
@@ -330,8 +330,8 @@ def _artist(figure: Figure, line: Line) -> Line2D:
     """Return an empty line that looks like one of a figure's."""
     if line.run == NO_RUN:
         if figure.kind == "path":
-            return Line2D([], [], color=REFERENCE, linewidth=3.2, solid_capstyle="round")
-        return Line2D([], [], color=REFERENCE, linewidth=4.0, solid_capstyle="butt")
+            return Line2D([], [], color=REFERENCE_COLOR, linewidth=3.2, solid_capstyle="round")
+        return Line2D([], [], color=REFERENCE_COLOR, linewidth=4.0, solid_capstyle="butt")
     style = _style(line.run)
     if figure.kind != "points":
         artist = styled_line(style)

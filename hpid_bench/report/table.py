@@ -40,7 +40,7 @@ from hpid_ros.metrics.texts import (
     verdicts_of,
 )
 
-NOTHING = "-"  # where a table of runs over seeds has no number
+NO_NUMBER = "-"  # where a table of runs over seeds has no number
 
 
 UNLIMITED_WIDTH = 10_000
@@ -221,7 +221,7 @@ STYLES = {
     Verdict.UNKNOWN: "dim",
 }
 # Spaces between blocks and digits of the largest number, from roomy to tight.
-LAYOUTS = ((3, 5), (2, 5), (1, 5), (1, 4))
+TABLE_LAYOUTS = ((3, 5), (2, 5), (1, 5), (1, 4))
 
 
 def styled(cell: Cell, marks: Mapping[Verdict, str]) -> Text:
@@ -261,13 +261,13 @@ class ComparisonTable:
         def fits(table: Table) -> bool:
             return Measurement.get(console, unlimited, table).maximum <= options.max_width
 
-        for gap, digits in LAYOUTS:
+        for gap, digits in TABLE_LAYOUTS:
             wide = self._side_by_side(self.comparison.indices, gap, digits)
             if fits(wide):
                 yield wide
                 return
         waiting = list(self.comparison.indices)
-        gap, digits = LAYOUTS[0]
+        gap, digits = TABLE_LAYOUTS[0]
         while waiting:
             count = len(waiting)
             while count > 1 and not fits(self._side_by_side(waiting[:count], gap, digits)):

@@ -134,8 +134,10 @@ def effective_delay(settings: LoopSettings, delay: float, *, has_velocities: boo
     Journal of Process Control 13 (2003) 291-309, section 2, the half rule.
     """
     velocity = settings.velocity
-    is_filtered = velocity.source == "filtered" or (velocity.is_measured and not has_velocities)
-    filter_time = velocity.filter_time_constant if is_filtered else 0.0
+    is_filtered = velocity.velocity_source == "filtered" or (
+        velocity.is_measured and not has_velocities
+    )
+    filter_time = velocity.velocity_filter_time_constant if is_filtered else 0.0
     return delay + filter_time + 0.5 * settings.timing.control_period
 
 

@@ -40,7 +40,7 @@ from hpid_ros.control.settings import (
     LoopSettings,
     Value,
 )
-from hpid_ros.control.sources import RULE
+from hpid_ros.control.sources import SOURCE_RULE
 from hpid_ros.stability.gain_boxes import GainRange
 from hpid_ros.stability.gain_check import CERTIFICATES
 
@@ -358,7 +358,7 @@ def c_files(
         "least_wrap": LEAST_WRAP,
         "largest_motion": LARGEST_MOTION,
         "parameters": LOOP_PARAMETERS,
-        "sources": RULE,
+        "sources": SOURCE_RULE,
     }
     return {
         f"{name}{suffix}": templates().get_template(template).render(texts)

@@ -33,7 +33,7 @@ PHYSICS_STEPS = 2
 """In a control period: half the time of four, and no ratio moved by more than 0.01."""
 
 
-class JointFacts(NamedTuple):
+class DriveFacts(NamedTuple):
     """What is known of a joint's drive and sensor, which no URDF says."""
 
     delay: int = 0  # by which its efforts act late, in control periods
@@ -50,7 +50,7 @@ class RobotSimulation:
     source: str  # path of its URDF, or the XML text
     fixed_base: bool = False  # whether its root is held
     initial_positions: Mapping[str, float] = field(default_factory=dict)  # where none is recorded
-    facts: Mapping[str, JointFacts] = field(default_factory=dict)  # by joint
+    facts: Mapping[str, DriveFacts] = field(default_factory=dict)  # by joint
     has_velocities: bool = False  # whether its states have velocities
     period: float | None = None  # [s] from one state to the next; None for the controllers' own
     engine: str | None = None  # that computes it; None for the default one
@@ -74,7 +74,7 @@ def simulate(
     start = dict(robot.initial_positions)
     start |= {name: float(each.position[0]) for name, each in series.items()}
     period_ns = round((robot.period or first[0].timing.control_period) * NANOSECONDS)
-    facts = [robot.facts.get(joint, JointFacts()) for joint in joints]
+    facts = [robot.facts.get(joint, DriveFacts()) for joint in joints]
     world = WorldSettings(
         robot_description=robot.source,
         joints=joints,
@@ -109,7 +109,7 @@ def _first_effort(series: JointSeries | None) -> float:
     return float(series.effort[0]) if series is not None and series.has_effort else 0.0
 
 
-def _integral(settings: LoopSettings, known: JointFacts, series: JointSeries | None) -> float:
+def _integral(settings: LoopSettings, known: DriveFacts, series: JointSeries | None) -> float:
     if known.integral is not None or series is None:
         return known.integral or 0.0
     return recorded_answers(settings, series, {}).integral
@@ -158,7 +158,7 @@ def _motion(settings: LoopSettings, series: JointSeries | None, start: float) ->
     return recorded_motion(settings.joint, stamps, series.reference)
 
 
-def _counts(settings: LoopSettings, known: JointFacts) -> int:
+def _counts(settings: LoopSettings, known: DriveFacts) -> int:
     own = known.resolution
-    resolution = settings.encoder.resolution if own is None else own
+    resolution = settings.encoder.encoder_resolution if own is None else own
     return round(math.tau / resolution) if resolution > 0.0 else 0

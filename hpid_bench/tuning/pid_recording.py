@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from hpid_bench.tuning.identification.robot_identification import (
-    BaseMotion,
+    BaseTravel,
     is_wheel,
     remark_on_base,
     why_not_wheel,
@@ -25,7 +25,7 @@ from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.robot.description import GivenRobot
 
-RECORDED = "recorded"
+RECORDED_RUN = "recorded"
 """Label of the run."""
 
 
@@ -60,7 +60,7 @@ class PidRecording:
 
 
 def read_pid_recording(
-    bag: Path, robot: GivenRobot, parameters: Path | None, base: BaseMotion | None
+    bag: Path, robot: GivenRobot, parameters: Path | None, base: BaseTravel | None
 ) -> PidRecording:
     """Read a recording; refuse one that is not of PIDs, or that lacks what an upgrade needs.
 
@@ -69,7 +69,7 @@ def read_pid_recording(
     controllers = recorded_controllers(bag, parameters)
     run = read_run(
         bag,
-        RECORDED,
+        RECORDED_RUN,
         selection=BagSelection(  # of runs that are no one motion
             separates_runs=True, every=True, kinds=robot.description.kinds
         ),

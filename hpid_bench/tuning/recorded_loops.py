@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hpid_bench.tuning.replay import (
-    Answer,
     AskedReference,
     Instruction,
-    JointRecord,
+    LoopAnswer,
     RecordedCommand,
+    RecordedLoop,
     RecordedState,
     driven,
     following,
@@ -23,17 +23,17 @@ from hpid_bench.tuning.replay import (
 from hpid_ros.base.errors import BagError, HpidError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY, NamePatterns, node_sections
 from hpid_ros.base.yaml_files import load_yaml, parse_yaml
-from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
+from hpid_ros.control.parameter_files import settings_from_parameters
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings, Value
 from hpid_ros.messages.columns import JOINT_STATE, TopicBatch
 from hpid_ros.messages.joint_state import EffortReader, JointReader, JointSample, RobotReader
 from hpid_ros.messages.joint_trajectory import decode_float64
 from hpid_ros.messages.messages import PARAMETER_EVENTS, parameter_events, read_event
-from hpid_ros.messages.metadata import PARAMETERS, recorded_slides
+from hpid_ros.messages.metadata import CONTROLLERS_ENTRY, recorded_slides
 from hpid_ros.messages.reading.recorded_run import decoded_trajectory
 from hpid_ros.messages.reading.topic_choice import (
     TopicChoice,
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from hpid_ros.robot.compensation import LoopModel
 
 
-class Controller(NamedTuple):
+class RecordedController(NamedTuple):
     """A joint's controller as it began."""
 
     node: str  # its name, without a namespace
@@ -70,14 +70,16 @@ class Controller(NamedTuple):
         return loop_settings({**self.parameters, **values}, self.limits, self.robot)
 
 
-def controllers_of(document: object, where: str, namespace: str = "") -> dict[str, Controller]:
+def controllers_of(
+    document: object, where: str, namespace: str = ""
+) -> dict[str, RecordedController]:
     """Return the controllers of a ROS parameter file's content, by joint."""
     sections = {
         name.rpartition("/")[2]: own
         for name, own in node_sections(document if isinstance(document, Mapping) else {}).items()
     }
     everywhere = sections.get("**", {})
-    controllers: dict[str, Controller] = {}
+    controllers: dict[str, RecordedController] = {}
     names: dict[str, str] = {}
     for name, settings in settings_from_parameters(document, where).items():
         node = name.rpartition("/")[2]
@@ -93,7 +95,7 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
             )
         names[settings.joint] = name
         parameters = settings.to_parameters()
-        controllers[settings.joint] = Controller(
+        controllers[settings.joint] = RecordedController(
             node,
             parameters,
             loop_settings(parameters, limits, robot),
@@ -106,7 +108,9 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
     return controllers
 
 
-def recorded_controllers(path: Path, parameters: Path | None = None) -> dict[str, Controller]:
+def recorded_controllers(
+    path: Path, parameters: Path | None = None
+) -> dict[str, RecordedController]:
     """Return the controllers that ran while a bag was recorded, as they began, by joint."""
     with Storage(path) as bag:
         return _controllers_in(bag, parameters)
@@ -114,14 +118,14 @@ def recorded_controllers(path: Path, parameters: Path | None = None) -> dict[str
 
 def _controllers_in(
     bag: Storage, parameters: Path | None, namespace: str = ""
-) -> dict[str, Controller]:
+) -> dict[str, RecordedController]:
     if parameters is not None:
         document = load_yaml(parameters, SettingError)
         return controllers_of(document, str(parameters), namespace)
     where = f"bag {bag.path}"
-    text = bag.custom_data.get(PARAMETERS)
+    text = bag.custom_data.get(CONTROLLERS_ENTRY)
     if text is not None:
-        where = f"{where}: {PARAMETERS}"
+        where = f"{where}: {CONTROLLERS_ENTRY}"
         return controllers_of(parse_yaml(where, str(text), BagError), where, namespace)
     document = _declared(bag)
     if document:
@@ -148,10 +152,10 @@ def _declared(bag: Storage) -> dict[str, Any]:
 
 
 @dataclass
-class _Joint:
+class _CollectedJoint:
     """What is collected of a joint while its bag is read."""
 
-    controller: Controller
+    controller: RecordedController
     reader: JointReader
     model: LoopModel | None
     states: list[RecordedState] = field(default_factory=list)
@@ -188,7 +192,7 @@ def read_records(
     joints: Sequence[str] | None = None,
     selection: BagSelection | None = None,
     progress: Callable[[float], None] = lambda share: None,
-) -> tuple[list[JointRecord], list[str]]:
+) -> tuple[list[RecordedLoop], list[str]]:
     """Read what is to be computed again."""
     with Storage(path) as bag:
         where = f"bag {path}"
@@ -239,13 +243,13 @@ class _Collector:
         choice: TopicChoice,
         commands: Sequence[str],
         types: Mapping[str, str],
-        controllers: Sequence[Controller],
+        controllers: Sequence[RecordedController],
         slides: frozenset[str],
         namespace: str,
     ) -> None:
         self._slides, self._namespace = slides, namespace
         self._joints = {
-            each.settings.joint: _Joint(
+            each.settings.joint: _CollectedJoint(
                 each, JointReader(each.settings.joint), loop_model(each.settings, each.robot)
             )
             for each in controllers
@@ -275,14 +279,14 @@ class _Collector:
     def take(self, batch: TopicBatch) -> None:
         self._takes[batch.topic](batch)
 
-    def records(self, *, is_asked_for: bool) -> Iterator[JointRecord]:
+    def records(self, *, is_asked_for: bool) -> Iterator[RecordedLoop]:
         """Yield what was recorded of each joint; of those without commands only if asked for."""
         begins = [each.states[0].stamp_ns for each in self._joints.values() if each.states]
         for each in self._joints.values():
             if not (each.states and each.commands) and not is_asked_for:
                 continue
             motions = [] if each.asked.samples else each.motions
-            yield JointRecord(
+            yield RecordedLoop(
                 each.controller.settings,
                 sorted(each.states, key=_place),
                 sorted(each.commands, key=_place),
@@ -291,7 +295,7 @@ class _Collector:
                 each.controller.limits.is_slide or each.controller.settings.joint in self._slides,
             )
 
-    def _joint_of_topic(self, topic: str) -> _Joint | None:
+    def _joint_of_topic(self, topic: str) -> _CollectedJoint | None:
         """Return the joint whose controller subscribes to a topic of its own."""
         node = last_part(namespace_of(topic))
         own = [each for each in self._joints.values() if each.controller.node == node]
@@ -306,7 +310,7 @@ class _Collector:
                     self.notes[f"a state was left out, as the controller does: {error}"] = None
                     continue
                 if sample is not None:
-                    answer: Answer = partial(_step, sample, joint.asked)
+                    answer: LoopAnswer = partial(_step, sample, joint.asked)
                     if joint.model is not None:
                         answer = _ModelAnswer(joint.model, self._robots[name], sample, raw)
                     joint.states.append(RecordedState(log_time_ns, place, sample.stamp_ns, answer))
@@ -339,13 +343,13 @@ class _Collector:
                         )
                         self._joints[name].motions.append(motion)
 
-    def _take_setpoints(self, joint: _Joint, batch: TopicBatch) -> None:
+    def _take_setpoints(self, joint: _CollectedJoint, batch: TopicBatch) -> None:
         for _, place, raw in batch.messages():
             with self._leaving_out("a setpoint was left out, as controllers refuse it"):
                 motion = following(Setpoint(decode_float64(raw)))
                 joint.motions.append(Instruction(place, motion, "a setpoint"))
 
-    def _take_relays(self, joint: _Joint, batch: TopicBatch) -> None:
+    def _take_relays(self, joint: _CollectedJoint, batch: TopicBatch) -> None:
         for _, place, raw in batch.messages():
             with self._leaving_out("a relay was left out, as controllers refuse it"):
                 request = RelayRequest.from_message(decode_numbers(raw))

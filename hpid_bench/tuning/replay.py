@@ -28,7 +28,7 @@ from hpid_ros.control.reference import LARGEST_POSITION, Motion, Pace
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.supervision import LATE_NS
 
-Answer = Callable[[JointLoop], float]
+LoopAnswer = Callable[[JointLoop], float]
 """Steps a loop with a state, and returns its effort in [N m]."""
 
 
@@ -38,7 +38,7 @@ class RecordedState(NamedTuple):
     log_time_ns: int  # [ns] when it was recorded
     place: int  # its place in the log
     stamp_ns: int  # [ns] its stamp
-    answer: Answer
+    answer: LoopAnswer
 
 
 class RecordedCommand(NamedTuple):
@@ -118,7 +118,7 @@ class AskedReference:
 
 
 @dataclass(frozen=True)
-class JointRecord:
+class RecordedLoop:
     """One joint of a recording, each part in the order of the log."""
 
     settings: LoopSettings  # the controller's settings when it began
@@ -129,7 +129,7 @@ class JointRecord:
     is_slide: bool = False  # whether the joint slides: its efforts are in [N]
 
 
-class Difference(NamedTuple):
+class CommandDifference(NamedTuple):
     """Answered states one after the other whose commands are not the law's."""
 
     stamp_ns: int  # [ns] stamp of the first
@@ -148,7 +148,7 @@ class JointVerdict:
     joint: str
     equal: int = 0  # commands that are the law's, to the last bit
     different: int = 0  # commands that answer a state with another effort
-    differences: tuple[Difference, ...] = ()  # the same, one after the other taken together
+    differences: tuple[CommandDifference, ...] = ()  # the same, one after the other taken together
     unanswered: int = 0  # states without a command since the controller began
     without_state: int = 0  # commands that answer a state which is not in the recording
     outside: int = 0  # commands that answer states before the first or after the last one recorded
@@ -206,7 +206,7 @@ class _Branch:
 
 
 def replay_joint(
-    record: JointRecord, progress: Callable[[float], None] = lambda share: None
+    record: RecordedLoop, progress: Callable[[float], None] = lambda share: None
 ) -> JointVerdict:
     """Compute every command of one joint again, and compare it to the last bit.
 
@@ -223,11 +223,11 @@ def replay_joint(
 
 
 class _Replay:
-    def __init__(self, record: JointRecord, apart: int) -> None:
+    def __init__(self, record: RecordedLoop, apart: int) -> None:
         self._record, self._apart = record, apart
         self._counts = Counter[str]()  # by the names of a verdict's fields
-        self._differences: list[Difference] = []
-        self._stretch: Difference | None = None
+        self._differences: list[CommandDifference] = []
+        self._stretch: CommandDifference | None = None
         self._happened: tuple[int, str] = (record.begin_ns, "")
         self._senders = tuple(dict.fromkeys(each.sender for each in record.commands))
         self._sender = self._senders[0] if self._senders else ""
@@ -378,7 +378,7 @@ class _Replay:
         since = (stamp_ns - happened_ns) / NANOSECONDS
         reason = f"{text}, {since:.3f} s before" if text and since <= _CONTEXT else ""
         time = (stamp_ns - self._record.begin_ns) / NANOSECONDS
-        self._stretch = Difference(stamp_ns, stamp_ns, time, 1, recorded, computed, reason)
+        self._stretch = CommandDifference(stamp_ns, stamp_ns, time, 1, recorded, computed, reason)
 
     def _agree(self) -> None:
         """Note that differences, if there were any, have ended."""

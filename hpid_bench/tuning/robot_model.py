@@ -20,7 +20,7 @@ from hpid_bench.tuning.identification.regression import (
     VISCOUS,
     Estimate,
 )
-from hpid_bench.tuning.loop_simulation import PHYSICS_STEPS, JointFacts
+from hpid_bench.tuning.loop_simulation import PHYSICS_STEPS, DriveFacts
 from hpid_bench.tuning.loop_statistics import median_period, position_noise, position_resolution
 from hpid_bench.tuning.recorded_pid import RecordedAnswers
 from hpid_ros.messages.series import JointSeries
@@ -41,10 +41,10 @@ class RobotModel:
     """A robot with what was identified of it."""
 
     robot: GivenRobot  # with the rotors and the friction that were found
-    facts: Mapping[str, JointFacts]  # delays and noise, by joint
+    facts: Mapping[str, DriveFacts]  # delays and noise, by joint
     assumptions: Mapping[str, Sequence[str]]  # what had to be assumed, by joint, a line each
 
-    def with_facts(self, facts: Mapping[str, JointFacts]) -> RobotModel:
+    def with_facts(self, facts: Mapping[str, DriveFacts]) -> RobotModel:
         """Return the model with other facts of some joints."""
         return replace(self, facts={**self.facts, **facts})
 
@@ -69,14 +69,14 @@ def robot_model(
         for each in found
         if each.is_found
     }
-    facts: dict[str, JointFacts] = {}
+    facts: dict[str, DriveFacts] = {}
     assumptions: dict[str, Sequence[str]] = {}
     for each in found:
         own = series[each.joint]
         resolution = position_resolution(own)
         noise = position_noise(own, resolution)
         integral, late = answers.get(each.joint, RecordedAnswers())
-        known = JointFacts(
+        known = DriveFacts(
             _delay(each, median_period(own), late), noise, resolution, integral=integral
         )
         lines = [*_assumptions(each, own, late)]

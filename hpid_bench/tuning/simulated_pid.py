@@ -11,7 +11,7 @@ import numpy as np
 
 from hpid_bench.tuning.identification.joint_identification import JointIdentification
 from hpid_bench.tuning.identification.regression import DELAY, STRIBECK, Estimate
-from hpid_bench.tuning.loop_simulation import JointFacts, RobotSimulation, simulate
+from hpid_bench.tuning.loop_simulation import DriveFacts, RobotSimulation, simulate
 from hpid_bench.tuning.pid_recording import PidRecording
 from hpid_bench.tuning.robot_model import RobotModel
 from hpid_bench.tuning.upgrade_prediction import JUDGED
@@ -21,7 +21,7 @@ from hpid_ros.metrics.quantities import IVC, Quantity
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.metrics.run_numbers import run_indices
 
-SIMULATED = "simulated"
+SIMULATED_RUN = "simulated"
 """Label of the run."""
 
 _ENGINE = "mujoco"  # its joints have armatures: a rotor is simulated as it was identified
@@ -111,8 +111,8 @@ def delay_estimates(identified: Sequence[JointIdentification]) -> dict[str, Esti
 
 
 def with_shorter_delay(
-    facts: JointFacts | None, estimate: Estimate | None, period: float, share: float
-) -> JointFacts | None:
+    facts: DriveFacts | None, estimate: Estimate | None, period: float, share: float
+) -> DriveFacts | None:
     """Return a joint's facts, its delay shorter by a share of the half-width of its interval.
 
     None where that is the same delay, or where nothing is known of it.
@@ -134,10 +134,10 @@ def _with_fitted_delays(
     A delay is known within an interval. Where the middle of it gives another run than the
     recorded one, as an oscillation that was none, the delay that comes closer is taken.
     """
-    first = simulated(SIMULATED, recording.loops, recording, model)
+    first = simulated(SIMULATED_RUN, recording.loops, recording, model)
     indices = run_indices(first)
     least = {name: _misfit(indices, target, name, JUDGED) for name in recording.joints}
-    trials: dict[str, list[JointFacts]] = {}
+    trials: dict[str, list[DriveFacts]] = {}
     for name, misfit in least.items():
         if misfit > _FAR_OFF:
             facts, estimate = model.facts.get(name), delays.get(name)
@@ -145,10 +145,10 @@ def _with_fitted_delays(
                 with_shorter_delay(facts, estimate, recording.period, share) for share in _SHORTER
             ]
             trials[name] = list(dict.fromkeys(each for each in shorter if each is not None))
-    best: dict[str, JointFacts] = {}
+    best: dict[str, DriveFacts] = {}
     for number in range(max(map(len, trials.values()), default=0)):
         tried = {name: each[number] for name, each in trials.items() if number < len(each)}
-        run = simulated(SIMULATED, recording.loops, recording, model.with_facts(tried))
+        run = simulated(SIMULATED_RUN, recording.loops, recording, model.with_facts(tried))
         indices = run_indices(run)
         for name, facts_tried in tried.items():
             if (misfit := _misfit(indices, target, name, JUDGED)) < least[name]:
@@ -156,7 +156,7 @@ def _with_fitted_delays(
     if not best:
         return _Fitted(model, first)
     fitted = model.with_facts(best)
-    return _Fitted(fitted, simulated(SIMULATED, recording.loops, recording, fitted))
+    return _Fitted(fitted, simulated(SIMULATED_RUN, recording.loops, recording, fitted))
 
 
 def _with_fitted_noise(recording: PidRecording, plain: _Fitted) -> _Fitted:
@@ -171,7 +171,7 @@ def _with_fitted_noise(recording: PidRecording, plain: _Fitted) -> _Fitted:
     }
     for _ in range(_NOISE_TRIALS if search else 0):
         tried = plain.model.with_facts({name: each.facts for name, each in search.items()})
-        run = simulated(SIMULATED, recording.loops, recording, tried)
+        run = simulated(SIMULATED_RUN, recording.loops, recording, tried)
         for each in run.joints:
             if each.joint in search:
                 search[each.joint] = search[each.joint].after(
@@ -181,7 +181,7 @@ def _with_fitted_noise(recording: PidRecording, plain: _Fitted) -> _Fitted:
     if not found:
         return plain
     fitted = plain.model.with_facts(found)
-    return _Fitted(fitted, simulated(SIMULATED, recording.loops, recording, fitted))
+    return _Fitted(fitted, simulated(SIMULATED_RUN, recording.loops, recording, fitted))
 
 
 def _misfit(run: RunIndices, target: RunIndices, joint: str, indices: Sequence[Quantity]) -> float:
@@ -233,14 +233,14 @@ class _NoiseSearch(NamedTuple):
     close to the edge between two counts it decides how often the position goes to and fro.
     """
 
-    facts: JointFacts  # what is tried next
+    facts: DriveFacts  # what is tried next
     low: float  # [rad] noise with too little variation
     high: float  # [rad] noise with too much
-    best: JointFacts | None = None  # what came closest, if close enough; None if nothing has
+    best: DriveFacts | None = None  # what came closest, if close enough; None if nothing has
     off: float = _CLOSE_ENOUGH  # by how much, as a share
 
     @classmethod
-    def begun(cls, facts: JointFacts) -> _NoiseSearch:
+    def begun(cls, facts: DriveFacts) -> _NoiseSearch:
         largest = max(_MOST_COUNTS * (facts.resolution or 0.0), _MOST_TIMES * facts.noise)
         return cls(facts._replace(noise=largest / 4.0), 0.0, largest)
 

@@ -23,7 +23,7 @@ from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
     LARGEST_SAMPLING_MARGIN_LATE,
     certified_degrees,
-    inertia_of,
+    judged_inertia,
     sampling_margin,
 )
 
@@ -329,9 +329,9 @@ def propose(
     for loop in loops:
         own, statistics = series.get(loop.joint), None
         try:
-            inertia = inertia_of(loop, inertias.get(loop.joint))
+            inertia = judged_inertia(loop, inertias.get(loop.joint))
             if own is not None:
-                statistics = loop_statistics(own, loop.velocity.filter_time_constant)
+                statistics = loop_statistics(own, loop.velocity.velocity_filter_time_constant)
         except HpidError as error:
             refused[loop.joint] = error
         else:

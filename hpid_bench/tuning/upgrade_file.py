@@ -10,7 +10,7 @@ from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.text import shown
 from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.base.yaml_text import inline_yaml
-from hpid_ros.control.controller_files import INERTIA_RANGES
+from hpid_ros.control.parameter_files import INERTIA_RANGES
 from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
 
 _COMMENT_COLUMN = 48

@@ -19,16 +19,16 @@ from hpid_bench.tuning.identification.regression import Estimate
 from hpid_bench.tuning.identification.robot_identification import (
     RobotIdentification,
     as_recorded,
-    base_motion,
+    base_travel,
     identify_robot,
     visited_poses,
 )
-from hpid_bench.tuning.loop_simulation import JointFacts
+from hpid_bench.tuning.loop_simulation import DriveFacts
 from hpid_bench.tuning.pid_recording import PidRecording, read_pid_recording
 from hpid_bench.tuning.recorded_pid import recorded_answers
 from hpid_bench.tuning.robot_model import RobotModel, robot_model
 from hpid_bench.tuning.simulated_pid import (
-    SIMULATED,
+    SIMULATED_RUN,
     SimulatedPid,
     delay_estimates,
     simulated,
@@ -54,13 +54,13 @@ from hpid_ros.metrics.quantities import INDICES, IVC
 from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.robot.description import GivenRobot
 from hpid_ros.robot.dynamics import inertia_ranges
-from hpid_ros.stability.gain_check import inertia_of
+from hpid_ros.stability.gain_check import judged_inertia
 from hpid_ros.stability.margins import Case, FamilyMargins, Margins, loop_family, margins_of
 
 DEFAULT_GOAL = "balanced"
 """The one that lowers both: what nobody has to choose."""
 
-PREDICTED = "proposed"
+PREDICTED_RUN = "proposed"
 """Label of the run under what is proposed."""
 
 
@@ -158,7 +158,7 @@ def upgrade_from_bag(
     """
     goal = DEFAULT_GOAL if request.goal is None else request.goal
     phase("reading the recording")
-    base = base_motion(request.bag)
+    base = base_travel(request.bag)
     if goal not in GOALS:
         raise SettingError(unknown_name("goal", goal, GOALS))
     recording = read_pid_recording(request.bag, request.robot, request.parameters, base)
@@ -193,7 +193,7 @@ def upgrade_from_bag(
             attempt = _tried(other, proposals, recording, pid, delays)
             if not attempt.is_kept:
                 both = Comparison((run_indices(pid.run), run_indices(attempt.run)))
-                others[other] = {each.key: both.ratio(PREDICTED, each) for each in INDICES}
+                others[other] = {each.key: both.ratio(PREDICTED_RUN, each) for each in INDICES}
     margins = {
         each.joint: pid_margins(
             each,
@@ -257,7 +257,7 @@ def pid_margins(
     """Return the worst margins of a PID on the joint as it was identified, or why it has none."""
     joint = settings.joint
     damping = model.robot.description.joints[joint].damping
-    facts = model.facts.get(joint, JointFacts())
+    facts = model.facts.get(joint, DriveFacts())
     delay, lag = facts.delay, facts.velocity.lag * period
     try:
         settings = settings.with_parameters({"control_period": period})
@@ -266,7 +266,7 @@ def pid_margins(
         elif settings.velocity.is_measured and lag > 0.0:  # as the driver filters it
             known = {"velocity_source": "filtered", "velocity_filter_time_constant": lag}
             settings = settings.with_parameters(known)
-        family = loop_family(settings, inertia_of(settings, inertia), damping, delay * period)
+        family = loop_family(settings, judged_inertia(settings, inertia), damping, delay * period)
         ends = [Case(each, 1.0, margins_of(family.loop(each))) for each in family.inertia]
     except HpidError as error:
         return str(error)
@@ -283,7 +283,7 @@ def _tried(
     """Simulate what is proposed for a goal; keep the PID of joints that gain nothing."""
     loops = recording.loops
     proposed = _with_upgrades(loops, certified.found)
-    run = simulated(PREDICTED, proposed, recording, pid.model)
+    run = simulated(PREDICTED_RUN, proposed, recording, pid.model)
     both = Comparison((run_indices(pid.run), run_indices(run)))
     spread = _delay_spread(proposed, both, recording, pid, delays)
     widened = {name: each + spread.get(name, 0.0) for name, each in pid.doubts.items()}
@@ -295,9 +295,9 @@ def _tried(
     changed = _changed(found)
     settings = _with_upgrades(loops, found)
     if not changed:
-        run = replace(pid.run, label=PREDICTED)
+        run = replace(pid.run, label=PREDICTED_RUN)
     elif len(changed) < len(found):
-        run = simulated(PREDICTED, settings, recording, pid.model)
+        run = simulated(PREDICTED_RUN, settings, recording, pid.model)
     doubts = {
         name: each + (spread.get(name, 0.0) if name in changed else 0.0)
         for name, each in pid.doubts.items()
@@ -313,7 +313,7 @@ def _delay_spread(
     delays: Mapping[str, Estimate],
 ) -> dict[str, float]:
     """Return how far ratios move, by joint, with a delay at the near end of its interval."""
-    shorter: dict[str, JointFacts] = {}
+    shorter: dict[str, DriveFacts] = {}
     for name in recording.joints:
         facts = with_shorter_delay(
             pid.model.facts.get(name), delays.get(name), recording.period, 1.0
@@ -323,14 +323,14 @@ def _delay_spread(
     if not shorter:
         return {}
     model = pid.model.with_facts(shorter)
-    before = simulated(SIMULATED, recording.loops, recording, model)
-    after = simulated(PREDICTED, proposed, recording, model)
+    before = simulated(SIMULATED_RUN, recording.loops, recording, model)
+    after = simulated(PREDICTED_RUN, proposed, recording, model)
     with_shorter = Comparison((run_indices(before), run_indices(after)))
     found: dict[str, float] = {}
     for name in shorter:
         moved = []
         for index in JUDGED:
-            one, other = (each.ratio(PREDICTED, index, name) for each in (both, with_shorter))
+            one, other = (each.ratio(PREDICTED_RUN, index, name) for each in (both, with_shorter))
             if one * other > 0.0:
                 moved.append(abs(math.log(other / one)))
         found[name] = max((each for each in moved if math.isfinite(each)), default=0.0)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from hpid_bench.report.page import (
-    NOTHING,
+    NO_VALUE,
     Block,
     Heading,
     IndexRow,
@@ -126,7 +126,7 @@ ASSUMED = (
 """What every prediction stands on."""
 
 
-def render(found: BagUpgrade, files: Mapping[str, Path]) -> str:
+def render_upgrade_page(found: BagUpgrade, files: Mapping[str, Path]) -> str:
     sections: dict[str, Sequence[Block]] = {
         "What was found": [*_found(found)],
         "What is assumed": [*_assumed(found)],
@@ -140,7 +140,7 @@ def render(found: BagUpgrade, files: Mapping[str, Path]) -> str:
     }
     return render_page(
         f"{found.request.bag.name}: from a PID to a homogeneous PID",
-        summary(found),
+        upgrade_summary(found),
         doubts(found),
         [expectations(found.prediction)],
         sections,
@@ -149,7 +149,7 @@ def render(found: BagUpgrade, files: Mapping[str, Path]) -> str:
     )
 
 
-def summary(found: BagUpgrade) -> str:
+def upgrade_summary(found: BagUpgrade) -> str:
     """Return what came of it in a sentence or two."""
     if not found.prediction.is_credible:
         return (
@@ -314,13 +314,13 @@ def _identified(found: BagUpgrade) -> PlainTable:
     columns = {
         "joint": [each.joint for each in joints],
         f"rotor [{inertia}]": [_estimate(each, INERTIA) for each in joints],
-        f"moves [{inertia}]": [ranges.get(each.joint, NOTHING) for each in joints],
+        f"moves [{inertia}]": [ranges.get(each.joint, NO_VALUE) for each in joints],
         f"viscous [{friction}]": [_estimate(each, VISCOUS) for each in joints],
         f"Coulomb [{effort}]": [_estimate(each, COULOMB) for each in joints],
         "delay [ms]": [_estimate(each, DELAY, _MILLISECONDS) for each in joints],
-        f"noise [{angle}]": [noises.get(each.joint, NOTHING) for each in joints],
+        f"noise [{angle}]": [noises.get(each.joint, NO_VALUE) for each in joints],
         "fit": [
-            f"{100.0 * each.explained:.1f} %" if each.is_found else NOTHING for each in joints
+            f"{100.0 * each.explained:.1f} %" if each.is_found else NO_VALUE for each in joints
         ],
     }
     rows = [list(row) for row in zip(*columns.values(), strict=True)]
@@ -330,7 +330,7 @@ def _identified(found: BagUpgrade) -> PlainTable:
 def _estimate(found: JointIdentification, name: str, factor: float = 1.0) -> str:
     estimate = found.estimates.get(name)
     if estimate is None:
-        return NOTHING
+        return NO_VALUE
     text = f"{factor * estimate.value:.3g} ± {factor * estimate.half_width:.2g}"
     return text if estimate.is_reliable else f"({text})"
 
@@ -418,7 +418,7 @@ def parameter_text(found: BagUpgrade) -> str:
     """Return the parameter file of what is proposed, with what to know of each joint."""
     header = [
         f"From {found.request.bag}, goal {found.goal}.",
-        *textwrap.wrap(summary(found), 96),
+        *textwrap.wrap(upgrade_summary(found), 96),
         "ros2 run hpid_ros joint_controllers --ros-args --params-file THIS_FILE",
     ]
     proposed, failures = found.tried.proposals

@@ -169,7 +169,7 @@ class Held(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Verification:
+class PredictionVerification:
     """What came of a prediction."""
 
     joints: dict[str, dict[str, Held]]  # of each joint, by key of the index
@@ -184,7 +184,7 @@ class Verification:
         return not self.others and all(self.totals[index.key].is_held for index in JUDGED)
 
 
-def verify(prediction: Prediction, before: Path, after: Path) -> Verification:
+def verify_prediction(prediction: Prediction, before: Path, after: Path) -> PredictionVerification:
     """Hold a prediction against two recordings of one motion."""
     joints = tuple(prediction.joints)
     how = Measuring(BagSelection(joints=joints), keeps_series=False)
@@ -200,7 +200,7 @@ def verify(prediction: Prediction, before: Path, after: Path) -> Verification:
         known = prediction.joints[joint][index.key] if joint else prediction.total(index.key)
         return Held(known.ratio, comparison.ratio(_AFTER, index, joint))
 
-    return Verification(
+    return PredictionVerification(
         {name: {each.key: held(each, name) for each in INDICES} for name in joints},
         {each.key: held(each) for each in INDICES},
         (*_warnings(prediction, comparison, measured), *warnings),

@@ -31,7 +31,7 @@ class DurationSpread(NamedTuple):
         }
 
 
-NOTHING = DurationSpread(0, 0.0, 0.0, 0.0)
+NO_DURATIONS = DurationSpread(0, 0.0, 0.0, 0.0)
 """Of no durations at all."""
 
 
@@ -58,7 +58,7 @@ class Durations:
         # Emptied in place: the hot path holds its append.
         del self._fresh[: len(fresh)]
         if not values.size:
-            return NOTHING
+            return NO_DURATIONS
         histogram = np.bincount(_EDGES.searchsorted(values, "right"), minlength=_BINS)
         self._whole += histogram
         maximum = int(values.max())
@@ -75,7 +75,7 @@ def _spread(histogram: NDArray[np.int64], maximum: int) -> DurationSpread:
     cumulated = histogram.cumsum()
     count = int(cumulated[-1])
     if not count:
-        return NOTHING
+        return NO_DURATIONS
     largest = maximum / _MICROSECOND
     ranks = cumulated.searchsorted((0.5 * count, 0.99 * count)).tolist()
     median, p99 = (

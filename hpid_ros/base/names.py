@@ -152,7 +152,7 @@ def _matched(pattern: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if fnmatchcase(name, pattern)]
 
 
-ALL_JOINTS = "all joints"
+ALL_JOINTS_CLAIM = "all joints"
 """In place of a joint's name, where whoever commands them together claims them."""
 
 ANYWHERE = "/**/"
@@ -221,7 +221,7 @@ the first, its successors the second."""
 _LONGEST = 48  # characters; with what is added to it a file's name stays below 255 bytes
 _MARKS = frozenset(" -_.+=,()")
 
-RULE = (
+LABEL_RULE = (
     "letters, digits, spaces and - _ . + = , ( ), beginning with a letter or digit, "
     f"at most {_LONGEST} characters"
 )
@@ -243,5 +243,5 @@ def require_label(text: object, where: str, error: type[HpidError]) -> str:
     """Return a label that is one."""
     if not is_label(text):
         came = shown(repr(text) if len(str(text)) <= 60 else f"{str(text)[:57]!r}...")
-        raise error(f"{where}: a name must be {RULE}, not {came}")
+        raise error(f"{where}: a name must be {LABEL_RULE}, not {came}")
     return str(text)

@@ -84,7 +84,7 @@ class Section:
         self.error = error
         self.where = where
         if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
-            raise error(f"{where or 'the document'} must be a mapping, not {shown(values)}")
+            raise error(f"{where or 'the document'} must be a mapping, not {short_repr(values)}")
         self._values = dict(values)
         self._taken: set[str] = set()
 
@@ -141,7 +141,7 @@ def _number(value: Any, bounds: Bounds, place: str, error: type[HpidError]) -> f
     if isinstance(value, bool) or not isinstance(value, int | float):
         better = _dotted(value)
         hint = f": to YAML 1.1 that is a text, write {better}" if better else ""
-        raise error(f"{place} must be a number, not {shown(value)}{hint}")
+        raise error(f"{place} must be a number, not {short_repr(value)}{hint}")
     if not bounds.hold(value):
         raise error(f"{place} must {bounds.rule}, not {value}")
     return float(value)
@@ -163,7 +163,7 @@ def _whole(value: Any, bounds: Bounds, place: str, error: type[HpidError]) -> in
     is_whole = isinstance(value, int) and not isinstance(value, bool)
     if not (is_whole and bounds.hold(value) and value <= _LARGEST_WHOLE):
         range_ = "" if bounds == ANY else f", {bounds}"
-        raise error(f"{place} must be a whole number{range_}, not {shown(value)}")
+        raise error(f"{place} must be a whole number{range_}, not {short_repr(value)}")
     return int(value)
 
 
@@ -178,11 +178,11 @@ def _text(
     is_text = isinstance(value, str) and bool(value or may_be_empty)
     if not is_text or (choices and value not in choices):
         allowed = f"one of {', '.join(choices)}" if choices else "a text"
-        raise error(f"{place} must be {allowed}, not {shown(value)}")
+        raise error(f"{place} must be {allowed}, not {short_repr(value)}")
     return cast(str, value)
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """Return a value for a message, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
@@ -498,7 +498,7 @@ def _as(
         return from_mapping(kind, value, place, error)
     if kind is bool:
         if not isinstance(value, bool):
-            raise error(f"{place} must be true or false, not {shown(value)}")
+            raise error(f"{place} must be true or false, not {short_repr(value)}")
         return value
     if kind is int:
         return _whole(value, what.bounds, place, error)
@@ -530,9 +530,11 @@ def _list(
     if kinds[-1] is not Ellipsis:
         if not is_list or len(value) != len(kinds):
             unit = f" [{what.unit}]" if what.unit else ""
-            raise error(f"{place} must be {_COUNTS[len(kinds)]} numbers{unit}, not {shown(value)}")
+            raise error(
+                f"{place} must be {_COUNTS[len(kinds)]} numbers{unit}, not {short_repr(value)}"
+            )
     elif not is_list:
-        raise error(f"{place} must be a list, not {shown(value)}")
+        raise error(f"{place} must be a list, not {short_repr(value)}")
     return tuple(
         _as(kinds[0], each, what, f"{place}[{index}]", error) for index, each in enumerate(value)
     )

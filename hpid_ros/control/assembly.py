@@ -70,7 +70,7 @@ _MAKERS: Mapping[LawName, Callable[[LoopSettings], Pid]] = {"pid": _make_pid, "h
 def observer_design(settings: LoopSettings) -> ObserverDesign | None:
     """Return what the observer goes by; None where there is none, or the inertia is unknown."""
     inertia, wanted = settings.plant_inertia, settings.observer
-    if settings.velocity.source != "observer" or not inertia:
+    if settings.velocity.velocity_source != "observer" or not inertia:
         return None
     chosen = min(max(_OBSERVER_LEAD * settings.gains.d / inertia, _SLOWEST), _FASTEST)
     return ObserverDesign(
@@ -79,7 +79,7 @@ def observer_design(settings: LoopSettings) -> ObserverDesign | None:
         period=settings.timing.control_period,
         degree=wanted.degree,
         innovation_scale=(
-            wanted.innovation_scale or settings.encoder.resolution or _INNOVATION_SCALE
+            wanted.innovation_scale or settings.encoder.encoder_resolution or _INNOVATION_SCALE
         ),
     )
 
@@ -98,25 +98,25 @@ def feedforward_gains(settings: LoopSettings) -> FeedforwardGains:
 
 def make_velocity_source(settings: VelocitySettings) -> VelocitySource:
     """Return the velocity source, without a past; for an observer the filtered difference."""
-    if settings.source == "homogeneous_differentiator":
+    if settings.velocity_source == "homogeneous_differentiator":
         return HomogeneousDifferentiator(settings.acceleration_bound)
-    if settings.source in ("filtered", "observer"):
-        return FilteredVelocity(settings.filter_time_constant)
-    return MeasuredVelocity(settings.filter_time_constant)
+    if settings.velocity_source in ("filtered", "observer"):
+        return FilteredVelocity(settings.velocity_filter_time_constant)
+    return MeasuredVelocity(settings.velocity_filter_time_constant)
 
 
 def make_unwrapper(settings: EncoderSettings) -> Unwrapper | None:
     """Return what makes the positions continuous; None where the encoder does not wrap."""
-    return Unwrapper(settings.wrap) if settings.wrap > 0.0 else None
+    return Unwrapper(settings.encoder_wrap) if settings.encoder_wrap > 0.0 else None
 
 
 def bounds_of_source(settings: LoopSettings) -> SourceBounds:
     """Return what the states of one source may do, by the settings of a joint."""
     encoder, timing = settings.encoder, settings.timing
     return source_bounds(
-        resolution=encoder.resolution,
-        step_max=encoder.step_max,
-        wrap=encoder.wrap,
+        resolution=encoder.encoder_resolution,
+        step_max=encoder.position_step_max,
+        wrap=encoder.encoder_wrap,
         timeout=timing.state_timeout,
         is_simulated=timing.is_simulated,
     )
@@ -127,7 +127,7 @@ def turn_of_references(settings: LoopSettings) -> float:
 
     References a turn of the encoder apart are the same, unless parameters say otherwise.
     """
-    motion, wrap = settings.motion, settings.encoder.wrap
+    motion, wrap = settings.motion, settings.encoder.encoder_wrap
     if motion.angle_wraparound:
         return math.tau
     return 0.0 if motion.multi_turn or motion.has_stop else max(wrap, 0.0)
@@ -172,7 +172,7 @@ def largest_step(settings: LoopSettings) -> tuple[float, float]:
     """
     fastest = settings.motion.fastest
     has_limit = fastest < math.inf
-    allowance = settings.encoder.step_max or (_ALLOWANCE if has_limit else math.pi)
+    allowance = settings.encoder.position_step_max or (_ALLOWANCE if has_limit else math.pi)
     if allowance >= LARGEST_MOTION:
         return math.inf, 0.0
     allowed = 2.0 * fastest if has_limit else 0.0

@@ -131,7 +131,7 @@ class Estimation:
         if self._observer is None:
             return self._source
         # An observer knows the efforts of the loop, not those of the stop.
-        source = FilteredVelocity(self._settings.velocity.filter_time_constant)
+        source = FilteredVelocity(self._settings.velocity.velocity_filter_time_constant)
         source.start_from(position, self.velocity)
         return source
 
@@ -149,7 +149,7 @@ class Estimation:
             return "filtered, the states have none"
         if self._lacks_inertia:
             return "filtered, the inertia is unknown"
-        return self._settings.velocity.source
+        return self._settings.velocity.velocity_source
 
     @property
     def warning(self) -> str:
@@ -170,4 +170,4 @@ class Estimation:
 
     @property
     def _lacks_inertia(self) -> bool:
-        return self._settings.velocity.source == "observer" and self._observer is None
+        return self._settings.velocity.velocity_source == "observer" and self._observer is None

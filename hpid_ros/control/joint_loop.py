@@ -128,11 +128,13 @@ class JointLoop:
             is_simulated=settings.timing.is_simulated,
             step_max=step_max,
             speed_max=speed_max,
-            turn=settings.encoder.wrap if settings.encoder.wrap > 0.0 else math.inf,
+            turn=settings.encoder.encoder_wrap
+            if settings.encoder.encoder_wrap > 0.0
+            else math.inf,
         )
         self.sources.adopt(bounds_of_source(settings))
         self.following.turn = turn_of_references(settings)
-        self.following.encoder_turn = max(settings.encoder.wrap, 0.0)
+        self.following.encoder_turn = max(settings.encoder.encoder_wrap, 0.0)
 
     def begin_with(self, integral: float) -> None:
         """Begin with an integral term, as of a loop that ran before.
@@ -296,11 +298,11 @@ class JointLoop:
         change = self.feedforward.retune(
             feedforward_gains(settings), following.velocity, following.acceleration
         )
-        if settings.encoder.wrap != before.encoder.wrap:
+        if settings.encoder.encoder_wrap != before.encoder.encoder_wrap:
             if self._unwrapper is None:
                 self._unwrapper = make_unwrapper(settings.encoder)
             else:
-                self._unwrapper.set_turn(max(settings.encoder.wrap, 0.0) or math.inf)
+                self._unwrapper.set_turn(max(settings.encoder.encoder_wrap, 0.0) or math.inf)
         self._adopt(settings)
         if change != less:
             kept -= law.absorb_added_effort(change - less)

@@ -74,10 +74,10 @@ class DampingStop:
 RAMP = 0.3
 """Time in which the relay takes over, and in which it gives back, in [s]."""
 
-LONGEST = 30.0
+LONGEST_RELAY = 30.0
 """Longest time of a relay in [s], even if whoever asked for it has gone."""
 
-DONE = "all cycles are done"
+CYCLES_DONE = "all cycles are done"
 """Why a relay gives back that has done what was asked."""
 
 _MOST_CYCLES = 100
@@ -95,7 +95,7 @@ class RelayRequest:
     duration: float  # [s] at the latest after so long, both ramps included
 
     def __post_init__(self) -> None:
-        bounds = {"cycles": float(_MOST_CYCLES), "duration": LONGEST}
+        bounds = {"cycles": float(_MOST_CYCLES), "duration": LONGEST_RELAY}
         for name, value in vars(self).items():
             most = bounds.get(name, math.inf)
             if not (math.isfinite(value) and 0.0 < value <= most):
@@ -216,4 +216,4 @@ class Relay:
         if self._weight == 1.0 and not self.ending and self._side > 0.0:
             self.cycles += 1
             if self.cycles >= self._request.cycles:
-                self.end(DONE)
+                self.end(CYCLES_DONE)

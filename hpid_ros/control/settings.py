@@ -202,19 +202,17 @@ class IntegralLimits(Record):
 class VelocitySettings(Record):
     """Where the velocity comes from."""
 
-    source: VelocitySourceName = quantity(
+    velocity_source: VelocitySourceName = quantity(
         "Where the velocity comes from: the message (filtered differences where it has none),"
         " always filtered differences of the position, Levant's differentiator, or an "
         "observer (needs inertia), which gives the position, too",
         default="measured",
-        key="velocity_source",
     )
-    filter_time_constant: float = _up_to(
+    velocity_filter_time_constant: float = _up_to(
         10.0,
         "Time constant of the first-order velocity filter",
         "s",
         default=0.005,
-        key="velocity_filter_time_constant",
     )
     acceleration_bound: float = quantity(
         "Acceleration that the joint does not exceed, for homogeneous_differentiator",
@@ -227,14 +225,14 @@ class VelocitySettings(Record):
     @property
     def is_measured(self) -> bool:
         """Whether measured velocities are used."""
-        return self.source == "measured"
+        return self.velocity_source == "measured"
 
     @property
     def in_use(self) -> tuple[object, ...]:
         """The source, and the parameters that it uses."""
-        if self.source == "homogeneous_differentiator":
-            return self.source, self.acceleration_bound
-        return self.source, self.filter_time_constant
+        if self.velocity_source == "homogeneous_differentiator":
+            return self.velocity_source, self.acceleration_bound
+        return self.velocity_source, self.velocity_filter_time_constant
 
 
 @dataclass(frozen=True)
@@ -309,30 +307,26 @@ class FeedforwardSettings(Record, prefix="feedforward."):
 class EncoderSettings(Record):
     """What is known of the encoder, and which of its positions are believed."""
 
-    wrap: float = quantity(
+    encoder_wrap: float = quantity(
         "Range after which the reported position wraps [rad], such as 2 pi for (-pi, pi] or "
         "[0, 2 pi); 0 never; -1 after 2 pi where robot_description has the joint as continuous",
         default=-1.0,
         least=-1.0,
         most=1000.0,
-        key="encoder_wrap",
     )
-    resolution: float = _up_to(
-        1.0, "Step of the measured position [rad]; 0 if unknown", key="encoder_resolution"
-    )
-    step_max: float = _up_to(
+    encoder_resolution: float = _up_to(1.0, "Step of the measured position [rad]; 0 if unknown")
+    position_step_max: float = _up_to(
         LARGEST_MOTION,
         "A position that differs from the last one by more than this [rad] plus twice "
         "velocity_max times the time between and one control_period, is a fault; 0 chooses 0.1, "
         "or pi where there is no velocity_max; 1e6 is none",
-        key="position_step_max",
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.wrap < LEAST_WRAP and self.wrap not in (0.0, -1.0):
+        if self.encoder_wrap < LEAST_WRAP and self.encoder_wrap not in (0.0, -1.0):
             raise SettingError(
-                f"encoder_wrap must be 0, -1 or at least {LEAST_WRAP:g}, not {self.wrap:g}"
+                f"encoder_wrap must be 0, -1 or at least {LEAST_WRAP:g}, not {self.encoder_wrap:g}"
             )
 
 
@@ -633,8 +627,8 @@ class LoopSettings(Record):
             self.norm_family(self.degree),
             period=self.timing.control_period,
             damping_rate=self.gains.d / (self.plant_inertia or 1.0),
-            resolution=self.encoder.resolution,
-            filter_time_constant=self.velocity.filter_time_constant,
+            resolution=self.encoder.encoder_resolution,
+            filter_time_constant=self.velocity.velocity_filter_time_constant,
             cap=self.norm.cap,
         )
 

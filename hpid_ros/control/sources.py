@@ -30,7 +30,7 @@ class SourceRule(NamedTuple):
     window: float = 0.5  # [s] beyond state_timeout; a source that is slower is not recognised
 
 
-RULE = SourceRule()
+SOURCE_RULE = SourceRule()
 """The rule, for the exported loops, too."""
 
 
@@ -56,17 +56,17 @@ def source_bounds(
 
     A simulated clock never goes back but for a reset; the stamps of a driver may jitter.
     """
-    counts = RULE.counts * resolution
+    counts = SOURCE_RULE.counts * resolution
     return SourceBounds(
-        apart=max(RULE.agree_within, counts, step_max),
-        twice=max(RULE.same_stamp_within, counts),
+        apart=max(SOURCE_RULE.agree_within, counts, step_max),
+        twice=max(SOURCE_RULE.same_stamp_within, counts),
         turn=wrap if wrap > 0.0 else math.tau,
         back=0.0 if is_simulated else timeout,
-        window=RULE.window + timeout,
+        window=SOURCE_RULE.window + timeout,
     )
 
 
-_NOISE, _NOISE_SHARE, _NEAR = RULE.noise, RULE.noise_share, RULE.near
+_NOISE, _NOISE_SHARE, _NEAR = SOURCE_RULE.noise, SOURCE_RULE.noise_share, SOURCE_RULE.near
 
 
 class SourceWatch:
@@ -123,7 +123,7 @@ class SourceWatch:
         if since_ns == 0:
             if apart <= max(self._twice, noise):
                 return self.is_split
-            self._doubled = RULE.pair
+            self._doubled = SOURCE_RULE.pair
             self._part(stamp_ns, position, _NEAR * apart)
             return self.is_split
         is_later = -self._back_ns <= since_ns <= self._window_ns
@@ -154,7 +154,7 @@ class SourceWatch:
         if off <= near and is_on_time:
             self._returns += 1
             self._usual += _NOISE_SHARE * (off - self._usual)
-            if self._returns >= RULE.returns:
+            if self._returns >= SOURCE_RULE.returns:
                 self.is_split = True
                 self.positions = self._position, position
         elif not self.is_split:

@@ -16,7 +16,7 @@ LENGTH = 4
 """Bytes of a sequence's or a text's length, the least that each text takes."""
 
 
-class Bounds(NamedTuple):
+class MessageBounds(NamedTuple):
     """The most that is taken of one message."""
 
     size: int  # bytes
@@ -25,12 +25,12 @@ class Bounds(NamedTuple):
     mixed_points: int  # of a trajectory whose points differ in layout
 
 
-LIVE = Bounds(size=32 << 20, names=16_384, points=50_000, mixed_points=5_000)
+LIVE = MessageBounds(size=32 << 20, names=16_384, points=50_000, mixed_points=5_000)
 """What a node takes. A point is 32 bytes and more, a joint's four numbers in it 32 bytes more."""
 
 _ANY = 2**63
 
-RECORDED = Bounds(*(_ANY,) * len(Bounds._fields))
+RECORDED = MessageBounds(*(_ANY,) * len(MessageBounds._fields))
 """What is taken from a bag: reading it need not keep pace with a robot."""
 
 MOST_NUMBERS = 64

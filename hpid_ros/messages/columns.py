@@ -286,13 +286,13 @@ class Ordered(NamedTuple):
         )
 
 
-LARGEST = 1e50
+LARGEST_NUMBER = 1e50
 """Beyond this a number is no joint's, and its powers soon are no numbers, either."""
 
 
 def finite(samples: JointSamples) -> tuple[JointSamples, int]:
     """Return the samples whose numbers can be a joint's, and how many cannot."""
-    is_finite = np.abs(samples.values) < LARGEST  # false of NaN, too
+    is_finite = np.abs(samples.values) < LARGEST_NUMBER  # false of NaN, too
     if is_finite.all():
         return samples, 0
     return samples.picked(is_finite), int(np.count_nonzero(~is_finite))
@@ -575,7 +575,7 @@ class JointStream:
 
     def has_numbers(self, joint: str) -> bool:
         """Return whether any of a joint's numbers can be one."""
-        if any((np.abs(some) < LARGEST).any() for some in self.probes(joint)):
+        if any((np.abs(some) < LARGEST_NUMBER).any() for some in self.probes(joint)):
             return True
         samples = self.peek(joint)
         return samples is not None and len(finite(samples)[0].values) > 0

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.text import LONGEST_NAME, name_text
 from hpid_ros.base.units import NANOSECONDS, Numbers
-from hpid_ros.messages.bounds import LENGTH, LIVE, Bounds, require_count, require_size
+from hpid_ros.messages.bounds import LENGTH, LIVE, MessageBounds, require_count, require_size
 
 ENCAPSULATION = 4
 _BYTE_ORDERS = {0: ">", 1: "<"}
@@ -338,7 +338,7 @@ class JointStateFields(NamedTuple):
             )
 
 
-def decode_joint_state(raw: bytes, bounds: Bounds = LIVE) -> JointStateFields:
+def decode_joint_state(raw: bytes, bounds: MessageBounds = LIVE) -> JointStateFields:
     """Decode any serialised JointState, whatever its layout or byte order."""
     require_size("JointState", len(raw), bounds.size)
     cursor = Cursor(raw, "JointState")

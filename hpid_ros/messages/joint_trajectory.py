@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import MessageError, TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, Numbers
-from hpid_ros.messages.bounds import LIVE, Bounds, require_count, require_size
+from hpid_ros.messages.bounds import LIVE, MessageBounds, require_count, require_size
 from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer
 from hpid_ros.motion.joint_trajectory import (
     Column,
@@ -87,7 +87,7 @@ def named_joints(raw: bytes) -> tuple[str, ...] | None:
         return None
 
 
-def decode_trajectory(raw: bytes, bounds: Bounds = LIVE) -> TrajectoryArrays:
+def decode_trajectory(raw: bytes, bounds: MessageBounds = LIVE) -> TrajectoryArrays:
     """Return a trajectory's arrays, which take no more than a few times its bytes.
 
     Raises:

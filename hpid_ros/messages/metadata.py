@@ -80,45 +80,47 @@ def counts_of(metadata: Mapping[str, Any]) -> dict[str, int]:
     return counts
 
 
-MISSED = "hpid_ros/missed_messages"
+MISSED_ENTRY = "hpid_ros/missed_messages"
 """Name of the entry with the counts: JSON, by topic."""
 
-STOOD_STILL = "hpid_ros/stood_still"
+STOOD_STILL_ENTRY = "hpid_ros/stood_still"
 """Name of the entry with the time that the recorder stood still, in [s]."""
 
 
 def missed_entries(missed: Mapping[str, int], stood_still: float) -> dict[str, str]:
     counts = json.dumps(dict(missed), sort_keys=True)
-    return {MISSED: counts, STOOD_STILL: f"{stood_still:.3f}"}
+    return {MISSED_ENTRY: counts, STOOD_STILL_ENTRY: f"{stood_still:.3f}"}
 
 
 def missed_messages(metadata: Mapping[str, str]) -> dict[str, int]:
     """Return the messages that a bag's recorder missed, by topic; only those that missed some."""
-    entry = _parsed(metadata, MISSED, dict)
+    entry = _parsed(metadata, MISSED_ENTRY, dict)
     return {topic: count for topic, count in entry.items() if type(count) is int and count > 0}
 
 
 def time_stood_still(metadata: Mapping[str, str]) -> float:
     """Return how long a bag's recorder stood still, in [s]; zero if it did not or did not say."""
     try:
-        seconds = float(metadata.get(STOOD_STILL, "0"))
+        seconds = float(metadata.get(STOOD_STILL_ENTRY, "0"))
     except ValueError:
         return 0.0
     return seconds if math.isfinite(seconds) and seconds > 0.0 else 0.0
 
 
-SLIDES = "hpid_ros/slides"
+SLIDES_ENTRY = "hpid_ros/slides"
 """Name of the entry with the joints that slide, whose units are m and N: JSON, a list."""
 
 
 def slides_entry(slides: Collection[str]) -> dict[str, str]:
     """Return the entry for the metadata; none where no joint slides."""
-    return {SLIDES: json.dumps(sorted(slides))} if slides else {}
+    return {SLIDES_ENTRY: json.dumps(sorted(slides))} if slides else {}
 
 
 def recorded_slides(metadata: Mapping[str, str]) -> frozenset[str]:
     """Return the joints that a bag's recorder knew to slide."""
-    return frozenset(each for each in _parsed(metadata, SLIDES, list) if isinstance(each, str))
+    return frozenset(
+        each for each in _parsed(metadata, SLIDES_ENTRY, list) if isinstance(each, str)
+    )
 
 
 def _parsed(metadata: Mapping[str, str], name: str, kind: type[_Content]) -> _Content:
@@ -130,5 +132,5 @@ def _parsed(metadata: Mapping[str, str], name: str, kind: type[_Content]) -> _Co
     return content if isinstance(content, kind) else kind()
 
 
-PARAMETERS = "hpid_ros/controllers"
+CONTROLLERS_ENTRY = "hpid_ros/controllers"
 """Name of the entry with the parameters of the controllers as they began: a ROS parameter file."""

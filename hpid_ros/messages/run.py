@@ -28,7 +28,7 @@ from hpid_ros.messages.reading.topic_choice import REPORTS, TopicChoice, choose_
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import KeptJoints, RunSeries, SeriesError
 from hpid_ros.messages.spill import Spill
-from hpid_ros.messages.storage import Progress, Storage, no_progress, opened
+from hpid_ros.messages.storage import ReadingProgress, Storage, no_progress, opened
 
 _SHOWN_JOINTS = 3
 _SHOWN_OTHERS = 10
@@ -41,7 +41,7 @@ def read_run(
     *,
     joints: Sequence[str] | None = None,
     selection: BagSelection | None = None,
-    progress: Progress | None = None,
+    progress: ReadingProgress | None = None,
 ) -> RunSeries:
     """Read one run from a bag.
 
@@ -97,7 +97,7 @@ def read_run(
 
 
 def _recording(
-    storage: Storage, where: str, selection: BagSelection, progress: Progress
+    storage: Storage, where: str, selection: BagSelection, progress: ReadingProgress
 ) -> RecordedRun:
     """Read the messages that are asked for."""
     topics = storage.topics()
@@ -233,7 +233,7 @@ def _run(
     joints: Sequence[str],
     selection: BagSelection,
     quality: RecordingQuality,
-    progress: Progress,
+    progress: ReadingProgress,
 ) -> RunSeries:
     """Return the series of all joints within the window."""
     spill, runs, failures = Spill(), dict[str, JointRun](), list[NoNumberError]()

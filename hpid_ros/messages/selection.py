@@ -27,7 +27,7 @@ NO_COMMANDS = "none"
 EFFORT_COMMANDS = "effort"
 """As ``commands``: what controllers publish on ``~/command`` or ``~/commands`` are efforts."""
 
-Reference = str | JointTrajectory
+ReferenceChoice = str | JointTrajectory
 """A name of :data:`REFERENCES`, a topic, or the reference itself."""
 
 _MAPPING = re.compile(r"(?P<joint>[^=]+)=(?P<topic>[^=\[\]]+)(\[(?P<element>\d+)\])?")
@@ -89,7 +89,7 @@ class BagSelection:
     states: str | Sequence[str] | None = None
     commands: str | None = None
     command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
-    reference: Reference = "auto"
+    reference: ReferenceChoice = "auto"
     clock: str = "header"
     start: float | None = None
     end: float | None = None

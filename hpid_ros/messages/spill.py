@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import BagError
 
-ROOM = 32 << 20
+BYTES_IN_MEMORY = 32 << 20
 """Bytes that stay in memory."""
 
 
@@ -31,7 +31,7 @@ class Spill:
     """Keeps arrays: those that come first in memory, the others in a file without a name."""
 
     def __init__(self) -> None:
-        self._room, self._end = ROOM, 0
+        self._room, self._end = BYTES_IN_MEMORY, 0
         self._file: Any = None
         self._given: list[tuple[NDArray[Any], Stored]] = []  # what was read last, and from where
 

@@ -56,7 +56,7 @@ class BagFile(Protocol):
     def close(self) -> None: ...
 
 
-Progress = Callable[[float], None]
+ReadingProgress = Callable[[float], None]
 """Takes the share of a bag that has been read, in [0, 1]."""
 
 
@@ -209,7 +209,7 @@ class Storage:
         return topics
 
     def batches(
-        self, topics: frozenset[str], progress: Progress = no_progress
+        self, topics: frozenset[str], progress: ReadingProgress = no_progress
     ) -> Iterator[TopicBatch]:
         """Yield the messages of some topics, file by file.
 

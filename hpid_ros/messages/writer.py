@@ -14,7 +14,7 @@ from hpid_ros.base.files import finished_folder, write_file
 from hpid_ros.base.yaml_files import parse_yaml
 from hpid_ros.base.yaml_text import dump_yaml
 from hpid_ros.messages.columns import JOINT_TRAJECTORY, TopicBatch
-from hpid_ros.messages.storage import Progress, Storage, no_progress
+from hpid_ros.messages.storage import ReadingProgress, Storage, no_progress
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -360,7 +360,7 @@ class Repair:
     unreadable: tuple[str, ...]  # a line for each thing of the old bag that could not be read
 
 
-def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> Repair:
+def repair_bag(source: Path, target: Path, progress: ReadingProgress | None = None) -> Repair:
     """Write what can be read of a bag into a new one, with index and ``metadata.yaml``.
 
     The old bag is only read. Messages keep their bytes, their log times and their order. The new
@@ -390,7 +390,7 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
     return replace(saved, target=target)
 
 
-def _rewrite(storage: Storage, place: Path, target: Path, progress: Progress) -> Repair:
+def _rewrite(storage: Storage, place: Path, target: Path, progress: ReadingProgress) -> Repair:
     """Write what can be read of an open bag into a new one, which is going to be the target."""
     try:
         return _rewritten(storage, place, progress)
@@ -398,7 +398,7 @@ def _rewrite(storage: Storage, place: Path, target: Path, progress: Progress) ->
         raise BagError(str(error).replace(str(place), str(target))) from None
 
 
-def _rewritten(storage: Storage, place: Path, progress: Progress) -> Repair:
+def _rewritten(storage: Storage, place: Path, progress: ReadingProgress) -> Repair:
     """Write what can be read of an open bag into a new one."""
     span_ns: tuple[int, int] | None = None
     impossible, topics = 0, storage.topics()

@@ -15,8 +15,13 @@ from functools import cached_property
 
 from hpid_ros.base.errors import unknown_name
 from hpid_ros.messages.series import SeriesError
-from hpid_ros.metrics.conditions import EVERYTHING, NOTHING, Difference, differences
-from hpid_ros.metrics.quantities import INDICES, NORMS, PAPER, QUANTITIES, Data, Quantity
+from hpid_ros.metrics.conditions import (
+    EVERYTHING,
+    NO_QUANTITY,
+    ConditionDifference,
+    condition_differences,
+)
+from hpid_ros.metrics.quantities import INDICES, L2_NORMS, PAPER, QUANTITIES, Data, Quantity
 from hpid_ros.metrics.results import RunIndices, Spread, for_json
 
 
@@ -34,19 +39,19 @@ def mismatches(runs: Sequence[RunIndices]) -> list[str]:
     return list(dict.fromkeys(lines))
 
 
-def run_differences(one: RunIndices, other: RunIndices) -> Iterator[Difference]:
+def run_differences(one: RunIndices, other: RunIndices) -> Iterator[ConditionDifference]:
     """Yield what two runs do not share of conditions and of what their numbers stand on."""
     for data in Data:
         if (data in one.assumed) != (data in other.assumed) and not _lacks(data, one, other):
             usual = {Data.REFERENCE: "recorded", Data.EFFORT: "commanded"}[data]
             texts = (f"{run.label}'s is {run.assumed.get(data, usual)}" for run in (one, other))
             keys = (key for key, each in QUANTITIES.items() if each.needs is data)
-            yield Difference(f"{data.value}: {', '.join(texts)}", frozenset(keys))
+            yield ConditionDifference(f"{data.value}: {', '.join(texts)}", frozenset(keys))
     if one.conditions is None or other.conditions is None:
         unknown = one.label if one.conditions is None else other.label
-        yield Difference(f"the conditions of {unknown!r} were not saved", NOTHING)
+        yield ConditionDifference(f"the conditions of {unknown!r} were not saved", NO_QUANTITY)
         return
-    yield from differences(one.conditions, other.conditions)
+    yield from condition_differences(one.conditions, other.conditions)
 
 
 def _lacks(data: Data, *runs: RunIndices) -> bool:
@@ -103,7 +108,7 @@ def _folded(label: str, runs: Sequence[RunIndices]) -> RunIndices:
 
     def medians(joint: str | None) -> dict[str, float]:
         found, quartiles[joint] = {}, {}
-        for quantity in sorted(quantities, key=lambda each: joint is None and each in NORMS):
+        for quantity in sorted(quantities, key=lambda each: joint is None and each in L2_NORMS):
             values = [run.value(quantity, joint) for run in runs]
             is_of_others = joint is None and _are_of_others(quantity, *runs)
             if not is_of_others and not any(map(math.isnan, values)):
@@ -157,7 +162,7 @@ class Comparison:
 
     runs: tuple[RunIndices, ...]  # the numbers of each run, at least one
     indices: tuple[Quantity, ...] = INDICES  # what tables show of each joint and of all
-    norms: tuple[Quantity, ...] = NORMS  # what they show of all joints alone
+    norms: tuple[Quantity, ...] = L2_NORMS  # what they show of all joints alone
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "runs", tuple(self.runs))
@@ -235,12 +240,12 @@ class Comparison:
             return math.nan
         return ratio(value, of_baseline)
 
-    def differences(self, label: str) -> tuple[Difference, ...]:
+    def differences(self, label: str) -> tuple[ConditionDifference, ...]:
         """Return what a run and the baseline do not share, and which numbers that spoils."""
         return self._differences[self.run(label).label]
 
     @cached_property
-    def _differences(self) -> dict[str, tuple[Difference, ...]]:
+    def _differences(self) -> dict[str, tuple[ConditionDifference, ...]]:
         found = {run.label: tuple(run_differences(self.baseline, run)) for run in self.others}
         return {self.baseline.label: (), **found}
 
@@ -316,8 +321,8 @@ class Comparison:
             return {key: for_json(value) for key, value in found.items() if not math.isnan(value)}
 
         joints = {name: ratios(shared, name) for name in self.joint_names}
-        totals = ratios(each for each in shared if each not in NORMS)
-        return {"joints": joints, "totals": totals, **ratios(NORMS)}
+        totals = ratios(each for each in shared if each not in L2_NORMS)
+        return {"joints": joints, "totals": totals, **ratios(L2_NORMS)}
 
 
 def _are_of_others(quantity: Quantity, *runs: RunIndices) -> bool:

@@ -25,11 +25,11 @@ UNLIKE_KNOTS = 2  # so many points must differ: one may lie in a jump
 
 
 EVERYTHING = frozenset(QUANTITIES)
-NOTHING: frozenset[str] = frozenset()
+NO_QUANTITY: frozenset[str] = frozenset()
 EFFORTS = frozenset(key for key, each in QUANTITIES.items() if each.needs is Data.EFFORT)
 
 
-class Difference(NamedTuple):
+class ConditionDifference(NamedTuple):
     """One thing that two runs do not share."""
 
     text: str  # in words
@@ -59,21 +59,21 @@ class Conditions:
         return {k: v for k, v in self.efforts.items() if any(_unlike_efforts(v, usual).values())}
 
 
-def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
+def condition_differences(one: Conditions, other: Conditions) -> Iterator[ConditionDifference]:
     """Yield what differs between two runs' conditions."""
     if _differ(one.duration, other.duration):
         text = f"durations differ: {one.duration:g} s and {other.duration:g} s"
-        yield Difference(text, EVERYTHING)
+        yield ConditionDifference(text, EVERYTHING)
     is_other_rate = _differ(one.period, other.period, RATE_WITHIN)
     if _differ(one.period, other.period):
         rates = (f"{1 / each:.4g} Hz" if each else "none" for each in (one.period, other.period))
         text = f"state rates differ: {' and '.join(rates)}"
-        yield Difference(text, EVERYTHING if is_other_rate else NOTHING)
+        yield ConditionDifference(text, EVERYTHING if is_other_rate else NO_QUANTITY)
     if one.clock != other.clock:
-        yield Difference(f"clocks differ: {one.clock} and {other.clock}", NOTHING)
+        yield ConditionDifference(f"clocks differ: {one.clock} and {other.clock}", NO_QUANTITY)
     if one.cutoff != other.cutoff:
         text = f"chatter cut-offs differ: {one.cutoff:g} Hz and {other.cutoff:g} Hz"
-        yield Difference(text, frozenset({CHATTER.key}))
+        yield ConditionDifference(text, frozenset({CHATTER.key}))
     unlike = {
         name: _unlike_efforts(one.efforts[name], other.efforts[name])
         for name in one.efforts
@@ -83,7 +83,7 @@ def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
     for what, is_said in (("times", is_other_time), ("rates", is_other_rate)):
         names = [name for name, are_unlike in unlike.items() if are_unlike[what]]
         if names and not is_said:
-            yield Difference(f"{what} of the efforts differ: {', '.join(names)}", EFFORTS)
+            yield ConditionDifference(f"{what} of the efforts differ: {', '.join(names)}", EFFORTS)
     names = [
         name
         for name, knots in one.references.items()
@@ -91,7 +91,7 @@ def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
         and _unlike(knots, one.duration, other.references[name], other.duration)
     ]
     if names:
-        yield Difference(f"references differ: {', '.join(names)}", EVERYTHING)
+        yield ConditionDifference(f"references differ: {', '.join(names)}", EVERYTHING)
 
 
 def knots_of(series: JointSeries) -> tuple[float, ...]:

@@ -31,17 +31,17 @@ class GainSignals(NamedTuple):
     multiplier: Signal
 
 
-Gains = Mapping[str, Mapping[str, GainSignals]]  # what the laws did, by label and joint
-Loops = Mapping[str, Mapping[str, LoopSettings]]  # settings by label and joint
+RunGainSignals = Mapping[str, Mapping[str, GainSignals]]  # what the laws did, by label and joint
+RunLoops = Mapping[str, Mapping[str, LoopSettings]]  # settings by label and joint
 
 
-def gains_of_runs(runs: Sequence[RunSeries], loops: Loops) -> dict[str, dict[str, GainSignals]]:
+def gains_of_runs(runs: Sequence[RunSeries], loops: RunLoops) -> dict[str, dict[str, GainSignals]]:
     """Return :func:`gain_signals` by label, of the runs of which they can be told."""
     found = {run.label: gain_signals(run, loops.get(run.label, {})) for run in runs}
     return {label: signals for label, signals in found.items() if signals is not None}
 
 
-def gain_notes(runs: Sequence[RunSeries], loops: Loops) -> list[str]:
+def gain_notes(runs: Sequence[RunSeries], loops: RunLoops) -> list[str]:
     """Return what :func:`gains_of_runs` must be read with, one line each."""
     lines = []
     for run in runs:
@@ -89,7 +89,7 @@ def _why_untold(series: JointSeries, settings: LoopSettings) -> str:
     """Return why a recording does not tell what a loop estimated; empty if it does."""
     if settings.velocity.is_measured and series.velocity is None:
         return f"{series.joint} used the velocities of the states, which were not read"
-    if settings.velocity.source == "observer" and settings.model.is_on:
+    if settings.velocity.velocity_source == "observer" and settings.model.is_on:
         return f"{series.joint} had an observer and a model, whose efforts are not recorded"
     return ""
 

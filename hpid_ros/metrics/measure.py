@@ -31,8 +31,8 @@ from hpid_ros.messages.series import RunSeries
 from hpid_ros.messages.storage import Storage, bags_in, opened
 from hpid_ros.metrics.alignment import ALIGNMENTS, Cut, RunWindow, cuts_of, window_cuts
 from hpid_ros.metrics.comparison import Comparison, fold_repeats, mismatches
-from hpid_ros.metrics.gain_signals import Gains, Loops, gain_notes, gains_of_runs
-from hpid_ros.metrics.quantities import INDICES, NORMS, Data, find_quantities
+from hpid_ros.metrics.gain_signals import RunGainSignals, RunLoops, gain_notes, gains_of_runs
+from hpid_ros.metrics.quantities import INDICES, L2_NORMS, Data, find_quantities
 from hpid_ros.metrics.results import RunIndices, in_units
 from hpid_ros.metrics.run_numbers import DEFAULT_CUTOFF, run_indices
 from hpid_ros.metrics.saved_results import runs_from_mapping
@@ -193,7 +193,7 @@ class Summary:
     end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
     paths: tuple[EndEffectorPath, ...] = ()
 
-    def gains(self) -> Gains:
+    def gains(self) -> RunGainSignals:
         """Return what the laws did to their gains, of each run whose parameters are known."""
         return gains_of_runs(self.series, self._loops())
 
@@ -201,7 +201,7 @@ class Summary:
         """Return what :meth:`gains` must be read with, one line each."""
         return gain_notes(self.series, self._loops())
 
-    def _loops(self) -> Loops:
+    def _loops(self) -> RunLoops:
         return {
             run.label: {
                 joint: LoopSettings.from_parameters(each)
@@ -505,7 +505,7 @@ def _selected(runs: Sequence[RunIndices], indices: Sequence[str], is_overall: bo
     chosen = find_quantities(indices)
     if is_overall:
         return Comparison(tuple(runs), indices=(), norms=chosen)
-    if chosen == (*INDICES, *NORMS):
+    if chosen == (*INDICES, *L2_NORMS):
         return Comparison(tuple(runs))
     return Comparison(tuple(runs), indices=chosen, norms=())
 

@@ -70,8 +70,8 @@ ITAE = Quantity("itae", "ITAE", "rad s^2", "time-weighted error", angle_power=1)
 EFFORT_L2 = _of_effort("effort_l2", "||u||", "N m s^0.5", "L2 norm of the effort", Fold.EUCLIDEAN)
 ERROR_L2 = Quantity("error_l2", "||e||", "rad s^0.5", "L2 norm of the error", Fold.EUCLIDEAN, 1)
 INDICES = (IVC, IAVC, ITAE)  # the paper's indices of each joint
-NORMS = (EFFORT_L2, ERROR_L2)  # the paper's norms, over all joints
-PAPER = (*INDICES, *NORMS)  # what the paper's comparison shows of a run
+L2_NORMS = (EFFORT_L2, ERROR_L2)  # the paper's norms, over all joints
+PAPER = (*INDICES, *L2_NORMS)  # what the paper's comparison shows of a run
 
 IAE = Quantity("iae", "IAE", "rad s", "absolute error", angle_power=1)
 ISE = Quantity("ise", "ISE", "rad^2 s", "squared error", angle_power=2)

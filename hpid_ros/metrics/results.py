@@ -14,7 +14,7 @@ from hpid_ros.metrics.quantities import (
     ANGLE_UNITS,
     DEGREES_PER_RADIAN,
     INDICES,
-    NORMS,
+    L2_NORMS,
     QUANTITIES,
     Data,
     Quantity,
@@ -41,7 +41,7 @@ class RunIndices:
     label: str  # name of the run
     joints: Mapping[str, Indices]  # by joint name, in the run's order
     totals: Indices  # those of all joints; each quantity's fold says how they come about
-    quantities: tuple[Quantity, ...] = (*INDICES, *NORMS)  # which quantities were computed
+    quantities: tuple[Quantity, ...] = (*INDICES, *L2_NORMS)  # which quantities were computed
     conditions: Conditions | None = None  # under which conditions; None if that is not known
     spread: Spread | None = None  # how far repeated runs lie apart; None for a single one
     angle_unit: str = "rad"  # the unit of angles in these numbers, "rad" or "deg"
@@ -113,7 +113,7 @@ class RunIndices:
     def as_mapping(self) -> dict[str, object]:
         """Return the numbers with their units as plain dicts, ready for JSON."""
         totals = {key: for_json(value) for key, value in self.totals.items()}
-        norms = {each.key: totals.pop(each.key) for each in NORMS if each.key in totals}
+        norms = {each.key: totals.pop(each.key) for each in L2_NORMS if each.key in totals}
         mapping: dict[str, object] = {"label": self.label, "units": self._units()}
         if self.slides:
             mapping["slides"] = [name for name in self.joints if name in self.slides]

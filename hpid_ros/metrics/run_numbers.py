@@ -34,7 +34,7 @@ from hpid_ros.metrics.indices import (
 from hpid_ros.metrics.quantities import (
     EFFORT_L2,
     ERROR_L2,
-    NORMS,
+    L2_NORMS,
     QUANTITIES,
     STEP_QUANTITIES,
     Data,
@@ -250,7 +250,7 @@ def _totals(
     """Return what is so over all joints that have what a quantity needs."""
     totals = {}
     for quantity in QUANTITIES.values():
-        if quantity in NORMS:
+        if quantity in L2_NORMS:
             continue
         numbers = [
             each for name, each in joints.items() if quantity.needs not in lacking.get(name, {})

@@ -13,7 +13,7 @@ from hpid_ros.metrics.quantities import (
     ANGLE_UNITS,
     INDICES,
     ITAE,
-    NORMS,
+    L2_NORMS,
     QUANTITIES,
     Data,
     Quantity,
@@ -64,7 +64,7 @@ def _run(label: str, entry: Mapping[str, Any]) -> RunIndices:
     return RunIndices(
         label=label,
         joints=joints,
-        totals=_indices(entry["totals"], missing) | _numbers(entry, NORMS, missing),
+        totals=_indices(entry["totals"], missing) | _numbers(entry, L2_NORMS, missing),
         quantities=quantities,
         conditions=_conditions(
             entry.get("conditions"),

@@ -26,7 +26,7 @@ from scipy.interpolate import BPoly
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS, Numbers
-from hpid_ros.control.overrides import LONGEST, RAMP, RelayRequest
+from hpid_ros.control.overrides import LONGEST_RELAY, RAMP, RelayRequest
 
 _DRAWS = 48  # of phases, besides Schroeder's
 _LINES = 8  # sines in a sum
@@ -297,7 +297,7 @@ def there_and_back(duration: float, limits: Peaks, *, is_fast: bool) -> Course:
     return Course(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def sine(duration: float, frequency: float, fade: float, limits: Peaks) -> Course:
+def sine_excitation(duration: float, frequency: float, fade: float, limits: Peaks) -> Course:
     """Return whole periods, at least one, of a sine with a soft start and a soft end."""
     for name, value in (("duration", duration), ("frequency", frequency), ("fade", fade)):
         if not 0.0 < value < math.inf:
@@ -469,7 +469,7 @@ def _course(peaks: Peaks, design: Design, number: int) -> Course:
         case "step" | "minimum_jerk":
             return there_and_back(duration, peaks, is_fast=design.kind == "step")
         case "sine":
-            return sine(duration, design.frequency, design.fade, peaks)
+            return sine_excitation(duration, design.frequency, design.fade, peaks)
     return multisine(duration, design.band, design.fade, peaks, design.seed + number)
 
 
@@ -581,6 +581,6 @@ def planned_relay(
         size * lead * rate,
         min(_ROOM * wish.amplitude, room),
         float(wish.cycles),
-        min(longest, LONGEST),
+        min(longest, LONGEST_RELAY),
     )
     return PlannedRelay(request, period, size, size * rate)

@@ -106,7 +106,7 @@ _KINDS: dict[str, type[Waypoints | Oscillations | PathSection]] = {
     "base_path": PathSection,
 }
 _COMBINED = "combined"
-KINDS = (*_KINDS, _COMBINED)
+REFERENCE_KINDS = (*_KINDS, _COMBINED)
 
 
 def reference_from(values: object, where: str = "reference") -> JointTrajectory:
@@ -118,8 +118,10 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
     """
     section = Section(values, where, TrajectoryError)
     kind = section.text("kind")
-    if kind not in KINDS:
-        raise TrajectoryError(f"{section.place('kind')}: {unknown_name('kind', kind, KINDS)}")
+    if kind not in REFERENCE_KINDS:
+        raise TrajectoryError(
+            f"{section.place('kind')}: {unknown_name('kind', kind, REFERENCE_KINDS)}"
+        )
     if kind == _COMBINED:
         return _combined(section)
     record = take_record(_KINDS[kind], section)

@@ -37,9 +37,9 @@ from hpid_ros.nodes.parts.goals import (
     GOAL_PARAMETERS,
     GoalError,
     GoalRequest,
+    GoalResult,
     GroupSettings,
     JointFacts,
-    Result,
     ResultCode,
     joint_parameters,
     require_joints,
@@ -102,7 +102,7 @@ class GoalHealth(Diagnostics):
         self._counts: Counter[str] = Counter()
         self._last_result = ""
 
-    def note(self, result: Result) -> None:
+    def note(self, result: GoalResult) -> None:
         """Note how a goal ended, and log it where it did not succeed."""
         self._counts["cancelled" if result is CANCELLED else result.code.name.lower()] += 1
         self._last_result = result.text

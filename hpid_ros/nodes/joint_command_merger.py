@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
-from hpid_ros.base.names import ALL_JOINTS
+from hpid_ros.base.names import ALL_JOINTS_CLAIM
 from hpid_ros.base.records import Record, names_of, parameters_of, quantity
 from hpid_ros.control.settings import LARGEST_EFFORT, LONGEST_TIMEOUT
 from hpid_ros.messages.joint_state import EffortReader
@@ -299,7 +299,7 @@ class JointCommandMerger(ManagedNode):
             self, self._receiver, self._output, parameters.manager, self._look_around
         )
         what = f"all that is sent on {topic}"
-        self._claim = JointClaim(self, is_claiming, ALL_JOINTS, topic, self._lose, what)
+        self._claim = JointClaim(self, is_claiming, ALL_JOINTS_CLAIM, topic, self._lose, what)
         self._health = MergerHealth(self, topic)
         self._stream = MergedStream(
             self, self._output, self._health.delays.note, self._report_silences

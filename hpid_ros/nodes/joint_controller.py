@@ -44,18 +44,7 @@ from hpid_ros.nodes.core.waiting import (
     unseen,
 )
 from hpid_ros.nodes.parts.claims import ClaimParameters, JointClaim, claims_joint
-from hpid_ros.nodes.parts.command_interfaces import JOINT_STATE, OF_CONTROLLERS
-from hpid_ros.nodes.parts.controller import (
-    IN_CONTROL,
-    Certification,
-    CertificationParameters,
-    ControllerHealth,
-    ControllerSettings,
-    LoopTiming,
-    RobotParameters,
-    concern_the_loop,
-    model_compensation,
-)
+from hpid_ros.nodes.parts.command_interfaces import JOINT_STATE_INTERFACE, OF_CONTROLLERS
 from hpid_ros.nodes.parts.joint_topics import (
     SINKS,
     STATES,
@@ -76,6 +65,17 @@ from hpid_ros.nodes.parts.references import (
     Introspection,
     IntrospectionParameters,
 )
+from hpid_ros.nodes.parts.settings_and_health import (
+    IN_CONTROL,
+    Certification,
+    CertificationParameters,
+    ControllerHealth,
+    ControllerSettings,
+    LoopTiming,
+    RobotParameters,
+    concern_the_loop,
+    model_compensation,
+)
 
 _READINESS_PERIOD = 0.02  # [s]
 _INACTIVE = "the controller is not active"
@@ -86,7 +86,7 @@ class ControllerParameters(Record):
     """What a controller does with its commands, and waits for."""
 
     command_interface: str = quantity(
-        f"Message of the commands: {', '.join(OF_CONTROLLERS)}", default=JOINT_STATE
+        f"Message of the commands: {', '.join(OF_CONTROLLERS)}", default=JOINT_STATE_INTERFACE
     )
     wait_for_command_subscribers: int = quantity(
         "Subscribers that commands must have first", default=1, least=0
@@ -547,7 +547,7 @@ class JointController(ManagedNode):
         self._certification.close()
 
 
-RECORDS: tuple[type[Record], ...] = (
+CONTROLLER_RECORDS: tuple[type[Record], ...] = (
     *(LoopSettings, ControllerParameters, ClaimParameters, RobotParameters, ManagedParameters),
     *(StopParameters, CertificationParameters, RelayParameters),
     *(IntrospectionParameters, Scheduling, StatusParameters),
@@ -558,7 +558,7 @@ USAGE = Usage(
     "joint_controller",
     "Controls one joint: states in, effort commands out.",
     "-p joint:=JOINT",
-    names_of(*RECORDS),
+    names_of(*CONTROLLER_RECORDS),
     ["joint_states", "joint_trajectory", "~/setpoint", "~/relay"],
     [
         "joint_commands (or ~/commands, ~/command)",

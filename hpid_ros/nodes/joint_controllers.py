@@ -13,7 +13,7 @@ from hpid_ros.base.errors import SettingError, require_known
 from hpid_ros.base.names import controller_name, require_node_names
 from hpid_ros.base.records import Record, names_of, quantity
 from hpid_ros.base.yaml_files import load_yaml
-from hpid_ros.control.controller_files import given_parameters, parameters_from
+from hpid_ros.control.parameter_files import parameters_from, parameters_in_file
 from hpid_ros.control.settings import Value
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
@@ -21,7 +21,7 @@ from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.waiting import Waiting
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
-from hpid_ros.nodes.parts.command_interfaces import JOINT_STATE
+from hpid_ros.nodes.parts.command_interfaces import JOINT_STATE_INTERFACE
 from hpid_ros.nodes.parts.joint_topics import SINKS, SharedTopics, Sinks
 
 MERGED = "merged"
@@ -69,7 +69,7 @@ def make_nodes() -> list[executor.ClosingNode]:
     sinks: Sinks = SINKS
     shared = SharedTopics(composition) if asked.share_messages else None
     if shared is not None:
-        sinks = {**SINKS, JOINT_STATE: shared.sink}
+        sinks = {**SINKS, JOINT_STATE_INTERFACE: shared.sink}
     if merger is not None:
         sinks = {MERGED: merger.sink}
     controllers = [
@@ -96,7 +96,7 @@ def _loops_of(node: executor.ClosingNode, file: str) -> dict[str, dict[str, Valu
     document = load_yaml(path, SettingError)
     for line in parameters_from(document, file).remarks:
         node.get_logger().warning(line)
-    return {str(each["joint"]): each for each in given_parameters(document, file).values()}
+    return {str(each["joint"]): each for each in parameters_in_file(document, file).values()}
 
 
 USAGE = Usage(

@@ -103,13 +103,13 @@ class RobotStates:
             if self._state is not None:
                 for source, *state in zip(self._velocities, *self._state[:2], strict=True):
                     source.start_from(*state)
-        if settings.encoder.wrap != self._settings.encoder.wrap:
+        if settings.encoder.encoder_wrap != self._settings.encoder.encoder_wrap:
             self._heed_encoder(settings)
         self._settings, self._timeout = settings, settings.timing.state_timeout
 
     def _heed_encoder(self, settings: LoopSettings) -> None:
         """Add up the turns of the loop's own joint; of the others' encoders nothing is known."""
-        turn = settings.encoder.wrap
+        turn = settings.encoder.encoder_wrap
         if turn >= 0.0:  # else it is as the robot has it
             turn = turn or math.inf
             self._unwrappers.setdefault(self._own, Unwrapper(turn)).set_turn(turn)
@@ -421,7 +421,7 @@ def compensators(loops: Sequence[LoopSettings], robot: str) -> list[Compensator 
             found.append(None)
             continue
         timing = settings.timing
-        own = settings.joint if settings.encoder.wrap > 0.0 else ""
+        own = settings.joint if settings.encoder.encoder_wrap > 0.0 else ""
         key = (settings.model, timing.control_period, timing.state_timeout, settings.velocity, own)
         if key not in shared:
             shared[key] = _of_the_robot(settings, robot)

@@ -32,7 +32,7 @@ from hpid_ros.robot.description import RobotDescription, robot_xml
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.dynamics import JointSpace
 
-POSES, SEED = 200, 1
+RANDOM_POSES, SEED = 200, 1
 
 
 class Coupling(NamedTuple):
@@ -51,7 +51,7 @@ class Coupling(NamedTuple):
         return period * max(self.largest - 1.0, 0.0)
 
 
-def coupling(space: JointSpace, samples: int = POSES, seed: int = SEED) -> Coupling:
+def coupling(space: JointSpace, samples: int = RANDOM_POSES, seed: int = SEED) -> Coupling:
     """Return the coupling over the zero pose and poses drawn evenly within the joints' limits."""
     if samples < 1:
         raise SettingError(f"samples {samples} must be >= 1")
@@ -99,7 +99,7 @@ class Settling(NamedTuple):
             text = (
                 f"efforts of the other joints, filtered by {1e3 * time_constant:.3g} ms, settle "
                 f"by a factor {radius:.2f} in each sample (without a filter "
-                f"{coupling.radius():.2f}), over {POSES} poses"
+                f"{coupling.radius():.2f}), over {RANDOM_POSES} poses"
             )
         else:
             shortest = period * (0.5 * coupling.largest - 1.0)

@@ -29,8 +29,8 @@ from hpid_ros.robot.description import RobotDescription, end_of
 
 _ALIGNED = 0.01  # [rad], also for those who write 1.57 for a quarter of a turn
 
-Rows = tuple[Vector, Vector, Vector]
-_NO_TURN: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+RotationRows = tuple[Vector, Vector, Vector]
+_NO_TURN: RotationRows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Wheel(NamedTuple):
@@ -71,7 +71,7 @@ def _radius(robot: ElementTree.Element, name: str) -> float | None:
     return radius
 
 
-def _origin(joint: ElementTree.Element) -> tuple[Vector, Rows]:
+def _origin(joint: ElementTree.Element) -> tuple[Vector, RotationRows]:
     """Return a joint's shift in [m] and its turn as the rows of a matrix.
 
     Without SciPy, whose import a bridge would have to wait for at its start.
@@ -92,7 +92,7 @@ def _origin(joint: ElementTree.Element) -> tuple[Vector, Rows]:
     )
 
 
-def _turned(rows: Rows, vector: Vector) -> Vector:
+def _turned(rows: RotationRows, vector: Vector) -> Vector:
     x, y, z = (sum(a * b for a, b in zip(row, vector, strict=True)) for row in rows)
     return x, y, z
 

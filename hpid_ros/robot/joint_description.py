@@ -57,7 +57,7 @@ class JointDescription:
         """Return settings within the limits of this joint, with its friction where they ask."""
         effort, motion, encoder = settings.effort, settings.motion, settings.encoder
         ahead = settings.feedforward
-        wraps = self.is_continuous and encoder.wrap < 0.0
+        wraps = self.is_continuous and encoder.encoder_wrap < 0.0
         return replace(
             settings,
             effort=replace(
@@ -71,7 +71,7 @@ class JointDescription:
                 position_min=max(motion.position_min, self.lower),
                 velocity_max=min(motion.velocity_max, self.velocity),
             ),
-            encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
+            encoder=replace(encoder, encoder_wrap=math.tau if wraps else encoder.encoder_wrap),
             feedforward=replace(
                 ahead,
                 viscous_friction=(

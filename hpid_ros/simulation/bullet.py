@@ -36,10 +36,10 @@ from hpid_ros.base.units import Vector
 from hpid_ros.robot.description import PAYLOAD_EDGE, RobotDescription, end_of, find_mesh
 from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.simulation.physics import (
+    BRICK_SETTLING_TIME,
     GROUND_FRICTION,
     NEGLIGIBLE_INERTIA,
     NEGLIGIBLE_MASS,
-    SETTLING_TIME,
     Pose,
     Twist,
     require_staying,
@@ -47,7 +47,7 @@ from hpid_ros.simulation.physics import (
 from hpid_ros.simulation.settings import Brick, Support, WorldSettings
 
 if TYPE_CHECKING:
-    from hpid_ros.simulation.merging import Placement
+    from hpid_ros.simulation.merging import LinkPlacement
 
 _logger = logging.getLogger(__name__)
 _STANDARD_STREAMS = (1, 2)
@@ -151,7 +151,7 @@ def rotor_name(joint: JointDescription) -> str:
     return joint.name + ROTOR_SUFFIX
 
 
-MOST_LINKS = 128
+MOST_MOVING_LINKS = 128
 """Links of a robot in Bullet, rotors counted: of others it gives no states."""
 
 
@@ -159,7 +159,7 @@ class BulletRobot(NamedTuple):
     """What Bullet gets of a robot."""
 
     urdf: str
-    merged: Mapping[str, Placement]  # links that are part of others, where there were too many
+    merged: Mapping[str, LinkPlacement]  # links that are part of others, where there were too many
 
 
 def bullet_robot(
@@ -182,14 +182,14 @@ def bullet_robot(
                 link.remove(shape)
     merged = {}
     number = len(description.links) + len(geared(description.joints.values()))
-    if number > MOST_LINKS:
+    if number > MOST_MOVING_LINKS:
         from hpid_ros.simulation.merging import merge_fixed  # SciPy is slow to import
 
         merged = merge_fixed(robot, kept)
         number -= len(merged)
-        if number > MOST_LINKS:
+        if number > MOST_MOVING_LINKS:
             raise RobotDescriptionError(
-                f"PyBullet takes {MOST_LINKS} links that move, rotors counted, and "
+                f"PyBullet takes {MOST_MOVING_LINKS} links that move, rotors counted, and "
                 f"{description.name!r} has {number}: hold joints (robot.held), or choose "
                 "engine: mujoco"
             )
@@ -486,7 +486,7 @@ class BulletPhysics:
         """
         client = self.client
         self._brake(list(self._joints.values()), [_LOCK_FORCE] * len(self._joints))
-        for _ in range(max(1, round(SETTLING_TIME / self._settings.physics_period))):
+        for _ in range(max(1, round(BRICK_SETTLING_TIME / self._settings.physics_period))):
             client.stepSimulation()
         client.resetBaseVelocity(self.body, _NOTHING, _NOTHING)
         for index, brick in enumerate(self._settings.workplace.bricks):

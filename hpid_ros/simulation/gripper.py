@@ -35,7 +35,7 @@ _ROTATIONS = [
 ]  # the 24 that map a box's axes onto axes
 
 
-class Fit(NamedTuple):
+class GraspFit(NamedTuple):
     """How a brick lies in the hand."""
 
     brick: int
@@ -44,7 +44,7 @@ class Fit(NamedTuple):
     width: float  # [m] its edge between the fingers
 
 
-def fit_of(index: int, size: Sequence[float], brick: Pose, hand: Pose) -> Fit:
+def fit_of(index: int, size: Sequence[float], brick: Pose, hand: Pose) -> GraspFit:
     """Return how a brick lies in the hand."""
     relative = _matrix(hand.orientation).T @ _matrix(brick.orientation)
     nearest = max(_ROTATIONS, key=lambda rotation: float(np.sum(rotation * relative)))
@@ -52,10 +52,10 @@ def fit_of(index: int, size: Sequence[float], brick: Pose, hand: Pose) -> Fit:
     chord = float(np.linalg.norm(nearest - relative)) / (2.0 * math.sqrt(2.0))
     across = int(np.argmax(np.abs(nearest[1])))  # the brick's axis along the hand's y
     distance = math.dist(hand.position, brick.position)
-    return Fit(index, distance, 2.0 * math.asin(min(chord, 1.0)), size[across])
+    return GraspFit(index, distance, 2.0 * math.asin(min(chord, 1.0)), size[across])
 
 
-def misfit(fit: Fit, gripper: GripperSettings) -> str:
+def grasp_misfit(fit: GraspFit, gripper: GripperSettings) -> str:
     """Return why a brick cannot be held; empty when it can."""
     if fit.distance > gripper.tolerance:
         return f"{fit.distance:.4g} m away, at most {gripper.tolerance:g} m"
@@ -99,7 +99,7 @@ class Gripper:
         self._physics = physics
         self._settings, self._bricks = workplace.gripper, workplace.bricks
         # The last one first, of one time as they stand.
-        self._pending = sorted(workplace.schedule, key=lambda each: each.time_ns)[::-1]
+        self._pending = sorted(workplace.grips, key=lambda each: each.time_ns)[::-1]
         self.events: list[GripEvent] = []
         self._held: int | None = None  # which brick
         steps = max(1, round(PULL_TIME / step))
@@ -146,7 +146,7 @@ class Gripper:
             return None
         fits = [self._fit(index) for index in range(len(self._bricks))]
         nearest = min(fits, key=lambda fit: fit.distance)
-        why = misfit(nearest, self._settings)
+        why = grasp_misfit(nearest, self._settings)
         if why:
             return self._event(now_ns, MISSED, nearest, 0.0, why)
         self._physics.hold(nearest.brick)
@@ -161,12 +161,12 @@ class Gripper:
         return self._event(now_ns, RELEASED, fit)
 
     def _event(
-        self, now_ns: int, outcome: str, fit: Fit, force: float = 0.0, why: str = ""
+        self, now_ns: int, outcome: str, fit: GraspFit, force: float = 0.0, why: str = ""
     ) -> GripEvent:
         name = self._bricks[fit.brick].name
         return GripEvent(now_ns, outcome, name, fit.distance, fit.angle, force, why)
 
-    def _fit(self, index: int) -> Fit:
+    def _fit(self, index: int) -> GraspFit:
         hand = self._physics.link_pose(self._settings.link)
         brick = self._physics.brick_pose(index)
         return fit_of(index, self._bricks[index].size, brick, hand)

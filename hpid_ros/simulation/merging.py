@@ -14,7 +14,7 @@ from hpid_ros.robot.description import end_of, origin_of
 from hpid_ros.robot.mending import inertia_of, mass_of
 
 
-class Placement(NamedTuple):
+class LinkPlacement(NamedTuple):
     """Where the frame of a merged link is."""
 
     link: str  # that it is part of now
@@ -44,7 +44,7 @@ class _Frame(NamedTuple):
         origin.set("rpy", " ".join(map(repr, angles.tolist())))
 
 
-def merge_fixed(robot: ElementTree.Element, kept: Collection[str]) -> dict[str, Placement]:
+def merge_fixed(robot: ElementTree.Element, kept: Collection[str]) -> dict[str, LinkPlacement]:
     """Merge links on fixed joints into what they are fixed to, in place.
 
     A link stays if it is ``kept`` by name, or touches things with a surface of its own.
@@ -76,10 +76,10 @@ def merge_fixed(robot: ElementTree.Element, kept: Collection[str]) -> dict[str, 
     return {name: _placement(*each) for name, each in placed.items()}
 
 
-def _placement(link: str, frame: _Frame) -> Placement:
+def _placement(link: str, frame: _Frame) -> LinkPlacement:
     x, y, z, w = Rotation.from_matrix(frame.turn).as_quat().tolist()
     place_x, place_y, place_z = frame.place.tolist()
-    return Placement(link, (place_x, place_y, place_z), (x, y, z, w))
+    return LinkPlacement(link, (place_x, place_y, place_z), (x, y, z, w))
 
 
 def _may_merge(

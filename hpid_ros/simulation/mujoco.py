@@ -31,10 +31,10 @@ from hpid_ros.robot.description import (
 )
 from hpid_ros.robot.joint_description import JointDescription
 from hpid_ros.simulation.physics import (
+    BRICK_SETTLING_TIME,
     GROUND_FRICTION,
     NEGLIGIBLE_INERTIA,
     NEGLIGIBLE_MASS,
-    SETTLING_TIME,
     Pose,
     Twist,
     require_staying,
@@ -88,7 +88,7 @@ class _Shape(NamedTuple):
     damping: float
 
 
-def build_model(settings: WorldSettings, description: RobotDescription) -> MujocoModel:
+def build_mujoco_model(settings: WorldSettings, description: RobotDescription) -> MujocoModel:
     spec = _spec(settings)
     robot = _Robot(spec, description, settings)
     touches = _Contacts(spec, settings)
@@ -410,7 +410,7 @@ class MujocoPhysics:
 
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
-        self._built = build_model(settings, description)
+        self._built = build_mujoco_model(settings, description)
         self.model: Any = self._built.model
         self.data: Any = mujoco.MjData(self.model)
         self._positions = np.array([self._built.positions[name] for name in settings.joints])
@@ -590,7 +590,7 @@ class MujocoPhysics:
         model, joints = self.model, list(self._built.velocities.values())
         free = model.dof_frictionloss[joints].copy()
         model.dof_frictionloss[joints] = _LOCK
-        for _ in range(max(1, round(SETTLING_TIME / self._settings.physics_period))):
+        for _ in range(max(1, round(BRICK_SETTLING_TIME / self._settings.physics_period))):
             mujoco.mj_step(model, self.data)
         model.dof_frictionloss[joints] = free
         self._is_current = False

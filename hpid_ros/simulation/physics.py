@@ -31,7 +31,7 @@ class Twist(NamedTuple):
     angular: tuple[float, float, float]  # [rad/s] angular velocity
 
 
-SETTLING_TIME = 0.25  # [s]
+BRICK_SETTLING_TIME = 0.25  # [s]
 NEGLIGIBLE_MASS = 1e-6  # [kg] of a link that is a mere frame
 NEGLIGIBLE_INERTIA = 1e-9  # [kg m^2]
 GROUND_FRICTION = 1.0  # of two surfaces the product counts: the robot's decides
@@ -59,7 +59,8 @@ def require_staying(brick: Brick, settled: Pose) -> None:
     if not moved <= _STAYING:
         raise SettingError(
             f"brick {brick.name!r} does not stay at {list(brick.position)} m: it moves by "
-            f"{moved:.3g} m in {SETTLING_TIME:g} s; put it on a support, where it overlaps nothing"
+            f"{moved:.3g} m in {BRICK_SETTLING_TIME:g} s; put it on a support, where it overlaps "
+            "nothing"
         )
 
 

@@ -201,9 +201,9 @@ def _planar_covariance(covariance: ArrayLike) -> list[float]:
     return numbers
 
 
-CLOCK, ODOM, TRUTH, SLIP = "clock", "odom", "base_pose_ground_truth", "wheel_slip"
-KINDS = {
-    CLOCK: wire.CLOCK,
+CLOCK_TOPIC, ODOM, TRUTH, SLIP = "clock", "odom", "base_pose_ground_truth", "wheel_slip"
+REPORT_KINDS = {
+    CLOCK_TOPIC: wire.CLOCK,
     ODOM: wire.ODOMETRY,
     TRUTH: wire.ODOMETRY,
     SLIP: wire.VECTOR,
@@ -242,7 +242,7 @@ class Reports:
         self._world, self._link = world, link
         self._times = ReportTimes(rate, end_ns)
         self._odom, self._root = prefix + ODOM_FRAME, prefix + world.description.root
-        known = [CLOCK, ODOM, TRUTH, END_EFFECTOR] if self._times.period_ns else []
+        known = [CLOCK_TOPIC, ODOM, TRUTH, END_EFFECTOR] if self._times.period_ns else []
         if world.settings.base is not None and known:
             known.append(SLIP)
         if world.gripper is not None:
@@ -306,7 +306,7 @@ class Reports:
     def _due(self, stamp_ns: int) -> Iterator[tuple[str, Callable[[], bytes]]]:
         """Yield each topic that is published at a rate, and what makes its message."""
         world, header = self._world, wire.Stamp(stamp_ns, self._odom)
-        yield CLOCK, partial(wire.encode_clock, stamp_ns)
+        yield CLOCK_TOPIC, partial(wire.encode_clock, stamp_ns)
         if self._monitor is None:
             yield ODOM, lambda: self._odometry(header, true_odometry(world))
         else:

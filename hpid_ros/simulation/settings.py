@@ -141,7 +141,7 @@ class Sensor(Record):
     )
 
 
-LONGEST = 1e5
+LONGEST_SCHEDULE = 1e5
 """Of a schedule, in [s]: a day and more."""
 
 
@@ -149,7 +149,7 @@ LONGEST = 1e5
 class PayloadChange(Record):
     """The payload has another mass from a moment on."""
 
-    time: float = quantity("When", "s", least=0.0, most=LONGEST)
+    time: float = quantity("When", "s", least=0.0, most=LONGEST_SCHEDULE)
     mass: float = quantity("Its mass from then on", "kg", least=0.0)
 
     @property
@@ -163,9 +163,9 @@ class WrenchPulse(Record):
     """A link is pushed for a while."""
 
     link: str = quantity("Link that is pushed, at the origin of its frame")
-    start: float = quantity("When it begins", "s", key="from", least=0.0, most=LONGEST)
+    start: float = quantity("When it begins", "s", key="from", least=0.0, most=LONGEST_SCHEDULE)
     duration: float = quantity(
-        "How long; whole physics steps, at least one", "s", above=0.0, most=LONGEST
+        "How long; whole physics steps, at least one", "s", above=0.0, most=LONGEST_SCHEDULE
     )
     force: Vector = quantity("In the world frame", "N", default=(0.0, 0.0, 0.0))
     torque: Vector = quantity("In the world frame", "N m", default=(0.0, 0.0, 0.0))
@@ -203,14 +203,14 @@ def require_mass(name: str, mass: float) -> float:
     return float(mass)
 
 
-def vector(name: str, values: Sequence[float]) -> tuple[float, float, float]:
+def checked_vector(name: str, values: Sequence[float]) -> tuple[float, float, float]:
     """Return three finite numbers."""
     if len(values) != 3 or not all(math.isfinite(value) for value in values):
         raise SettingError(f"{name} {list(values)} must be three finite numbers")
     return float(values[0]), float(values[1]), float(values[2])
 
 
-LARGEST = 100.0
+LARGEST_EXTENT = 100.0
 """Edge of a box and distance from the origin, in [m]."""
 
 
@@ -219,8 +219,10 @@ class Support(Record):
     """A box that stays where it is: a table, a shelf."""
 
     name: str = quantity("Its name, for messages")
-    size: Vector = quantity("Edges along its own x, y, z", "m", above=0.0, most=LARGEST)
-    position: Vector = quantity("Its centre in the world", "m", least=-LARGEST, most=LARGEST)
+    size: Vector = quantity("Edges along its own x, y, z", "m", above=0.0, most=LARGEST_EXTENT)
+    position: Vector = quantity(
+        "Its centre in the world", "m", least=-LARGEST_EXTENT, most=LARGEST_EXTENT
+    )
     yaw: float = quantity("Its turn about the world's z", "rad", default=0.0)
     friction: float = quantity(
         "Coefficient of its surface; of two that touch the product counts", default=1.0, least=0.0
@@ -279,7 +281,7 @@ class GripperSettings(Record):
 class GripCommand(Record):
     """The gripper closes or opens; between two control periods, with the later one."""
 
-    time: float = quantity("When", "s", least=0.0, most=LONGEST)
+    time: float = quantity("When", "s", least=0.0, most=LONGEST_SCHEDULE)
     is_closed: bool = quantity("Whether it closes", key="closed")
 
     @property
@@ -297,8 +299,8 @@ class Workplace(Record):
     gripper: GripperSettings = quantity(
         "The robot's gripper; without a brick there is none", factory=GripperSettings
     )
-    schedule: tuple[GripCommand, ...] = quantity(
-        "When it closes and opens, where the reference is no brick task", key="grips", default=()
+    grips: tuple[GripCommand, ...] = quantity(
+        "When it closes and opens, where the reference is no brick task", default=()
     )
 
     def __post_init__(self) -> None:

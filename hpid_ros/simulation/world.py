@@ -24,9 +24,9 @@ from hpid_ros.simulation.settings import (
     PayloadChange,
     VelocityFilter,
     WorldSettings,
+    checked_vector,
     require_engine,
     require_mass,
-    vector,
 )
 
 
@@ -221,7 +221,9 @@ class DisturbanceSchedule:
         settings = self._settings
         steps = round(duration_ns * settings.physics_steps / settings.control_period_ns)
         name = self._description.link(link)
-        pulse = Pulse(name, vector("force", force), vector("torque", torque), max(1, steps))
+        pulse = Pulse(
+            name, checked_vector("force", force), checked_vector("torque", torque), max(1, steps)
+        )
         self._pulses.append(pulse)
 
     def load(self, mass: float) -> None:

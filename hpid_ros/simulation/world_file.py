@@ -128,7 +128,7 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
             payload=tuple(map(on_period, events.payload)),
             wrenches=tuple(on_period(each, "start") for each in events.wrenches),
         ),
-        workplace=replace(workplace, schedule=tuple(map(on_period, workplace.schedule))),
+        workplace=replace(workplace, grips=tuple(map(on_period, workplace.grips))),
         base=_base(robot, known),
     )
     try:
@@ -256,6 +256,6 @@ def _workplace(section: Section, reference: PlannedReference | None) -> Workplac
         raise section.error(f"{section.place('grips')}: the reference plans them already")
     grips = reference.plan.grips
     schedule = tuple(GripCommand(each.time_ns / NANOSECONDS, each.is_closed) for each in grips)
-    workplace = take_record(Workplace, section, {"schedule": schedule})
+    workplace = take_record(Workplace, section, {"grips": schedule})
     section.finish()
     return workplace

@@ -37,7 +37,7 @@ _NEGLIGIBLE = 14.0  # in ln of the slowest power of n
 _WORST, _ZOOM, _ZOOMS = 12, 13, 3
 
 
-class Margins(NamedTuple):
+class CertificateMargins(NamedTuple):
     """By how much a certificate holds."""
 
     rate: float  # [1/s] least of -x'Pf(x) on the sphere x'Px = 1
@@ -45,7 +45,7 @@ class Margins(NamedTuple):
     decay: float
 
 
-def check_certificate(certificate: Certificate) -> Margins:
+def check_certificate(certificate: Certificate) -> CertificateMargins:
     """Check a certificate on points of its own, and return its least margins."""
     margins = []
     for span in certificate.spans:
@@ -54,10 +54,12 @@ def check_certificate(certificate: Certificate) -> Margins:
             found = span_margins(certificate.gains, span, norm)
             _require_margins(span, norm.degree, found)
             margins.append(found)
-    return Margins(*(min(column) for column in zip(*margins, strict=True)))
+    return CertificateMargins(*(min(column) for column in zip(*margins, strict=True)))
 
 
-def best_spans(certificate: Certificate, norm: Norm) -> list[tuple[CertifiedSpan, Margins]]:
+def best_spans(
+    certificate: Certificate, norm: Norm
+) -> list[tuple[CertifiedSpan, CertificateMargins]]:
     """Return for each inertia the span that proves the fastest decay at one degree."""
     degree = norm.degree
     if not certificate.lower <= degree <= certificate.upper:
@@ -78,7 +80,7 @@ def best_spans(certificate: Certificate, norm: Norm) -> list[tuple[CertifiedSpan
     return best
 
 
-def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> Margins:
+def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> CertificateMargins:
     """Return by how much a span's P holds at one degree; negative where it does not."""
     require_certifiable_norm(norm)
     shape, degree = np.array(span.shape), norm.degree
@@ -87,7 +89,7 @@ def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> Margins:
     growth = np.linalg.eigvals(np.linalg.solve(shape, 0.5 * (product + product.T))).real
     monotonicity = float(growth.min())
     if monotonicity <= 0.0:
-        return Margins(-np.inf, monotonicity, -np.inf)
+        return CertificateMargins(-np.inf, monotonicity, -np.inf)
     sphere = _Sphere(shape, degree)
 
     def rates(angles: Numbers, depths: Numbers) -> tuple[Numbers, Numbers]:
@@ -98,10 +100,10 @@ def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> Margins:
 
     pole = shape[1, 2] / shape[2, 2]  # at e = de = 0 the field is (0, x3, 0)
     rate, decay = _largest(sphere.angles(), rates)
-    return Margins(-max(rate, pole), monotonicity, -max(decay, pole / exponents[2]))
+    return CertificateMargins(-max(rate, pole), monotonicity, -max(decay, pole / exponents[2]))
 
 
-def _require_margins(span: CertifiedSpan, degree: float, margins: Margins) -> None:
+def _require_margins(span: CertifiedSpan, degree: float, margins: CertificateMargins) -> None:
     if not (margins.monotonicity > 0.0 and margins.rate > 0.0 and margins.decay > 0.0):
         raise GainError(
             f"the certificate does not hold at degree {degree:g}, inertia {span.inertia:g} "
@@ -192,7 +194,7 @@ def _require_shape(span: CertifiedSpan) -> None:
         raise GainError(f"the inertia must be positive and finite, not {span.inertia} kg m^2")
 
 
-def verify_certificate(certificate: Certificate) -> Margins:
+def verify_certificate(certificate: Certificate) -> CertificateMargins:
     """Check a certificate again, without anything of the search that found it.
 
     Checked is every degree whose norm it holds.

@@ -22,7 +22,7 @@ _SEARCH = [sys.executable, "-m", "hpid_ros.stability.certifier"]
 _LAST = 19  # nice: beside running loops, the search takes what they leave
 
 
-class Finding(NamedTuple):
+class CertificationFinding(NamedTuple):
     """What is known of a loop's degree."""
 
     is_certified: bool | None  # True, False, or None while it is not known
@@ -45,19 +45,19 @@ class Certifier:
         self._child_of: Hashable = None
         self._wanted: LoopSettings | None = None
 
-    def finding(self, settings: LoopSettings) -> Finding:
+    def finding(self, settings: LoopSettings) -> CertificationFinding:
         """Say what is known now, without waiting."""
         if settings.plant_inertia == 0.0:
-            return Finding(None, "unknown: the inertia is not given")
+            return CertificationFinding(None, "unknown: the inertia is not given")
         if settings.degree == 0.0:
-            return Finding(True, "linear, stable by Routh and Hurwitz")
+            return CertificationFinding(True, "linear, stable by Routh and Hurwitz")
         known = self._known.get(_key(settings))
         if known is None:
-            return Finding(None, "being computed")
+            return CertificationFinding(None, "being computed")
         if isinstance(known, str):
-            return Finding(False, f"none: {known}")
+            return CertificationFinding(False, f"none: {known}")
         lower, upper = known
-        return Finding(lower <= settings.mu <= upper, f"{lower:+.3f} to {upper:+.3f}")
+        return CertificationFinding(lower <= settings.mu <= upper, f"{lower:+.3f} to {upper:+.3f}")
 
     def want(self, settings: LoopSettings) -> None:
         """Begin to find out, after what is being found out now; the newest wish counts."""
@@ -76,7 +76,7 @@ class Certifier:
             self._wanted = None
         return has_news
 
-    def wait(self, settings: LoopSettings) -> Finding:
+    def wait(self, settings: LoopSettings) -> CertificationFinding:
         """Find out now, however long it takes: for a loop that has not begun."""
         self._niceness = 0
         self.want(settings)

@@ -40,7 +40,7 @@ Complexes = NDArray[np.complex128]
 _SERIES_BELOW = 0.05
 
 
-class Response(NamedTuple):
+class FrequencyResponse(NamedTuple):
     """Of a joint: from the effort of a sample to position and velocity, in [rad/(N m)], [.. / s].
 
     Of a controller: its effort is minus this times position and velocity, [N m/rad], [N m s/rad].
@@ -108,7 +108,7 @@ class SampledJoint:
         decay = self.friction / self.inertia * time
         return time * time * _phi_2(decay) / self.inertia, time * _phi_1(decay) / self.inertia
 
-    def response(self, frequency: Numbers) -> Response:
+    def response(self, frequency: Numbers) -> FrequencyResponse:
         """Return the frequency response of the held joint at z = exp(j w T)."""
         held = self.held
         ahead = np.expm1(1j * self.period * frequency)  # z - 1, with all its digits
@@ -120,7 +120,7 @@ class SampledJoint:
         ]
         lost = self.friction / self.inertia * held.reach  # 1 - keep, likewise
         velocity = forced[1] / (ahead + lost)
-        return Response((forced[0] + held.reach * velocity) / ahead, velocity)
+        return FrequencyResponse((forced[0] + held.reach * velocity) / ahead, velocity)
 
 
 def _phi_1(x: float) -> float:
@@ -155,8 +155,8 @@ class MeasuredSource:
     def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
         return Seen(position, velocity, np.zeros_like(position), states)
 
-    def controller(self, law: Response, ahead: Complexes) -> Response:
-        return Response(law.position, law.velocity)
+    def controller(self, law: FrequencyResponse, ahead: Complexes) -> FrequencyResponse:
+        return FrequencyResponse(law.position, law.velocity)
 
 
 @dataclass(frozen=True)
@@ -176,10 +176,10 @@ class FilteredSource:
         rate = rate + (position - before - self.period * rate) / whole
         return Seen(position, rate, np.zeros_like(position), np.stack([position, rate]))
 
-    def controller(self, law: Response, ahead: Complexes) -> Response:
+    def controller(self, law: FrequencyResponse, ahead: Complexes) -> FrequencyResponse:
         tau, period = self.time_constant, self.period
         rate = ahead / ((tau + period) * ahead + period)
-        return Response(law.position + law.velocity * rate, np.zeros_like(ahead))
+        return FrequencyResponse(law.position + law.velocity * rate, np.zeros_like(ahead))
 
 
 class ObserverSource:
@@ -211,7 +211,7 @@ class ObserverSource:
         ahead = ahead + np.outer(self._correct, position - ahead[0])
         return Seen(ahead[0], ahead[1], self._feed * self._inertia * ahead[2], ahead)
 
-    def controller(self, law: Response, ahead: Complexes) -> Response:
+    def controller(self, law: FrequencyResponse, ahead: Complexes) -> FrequencyResponse:
         # The observer knows the efforts that the law sends: they are in a loop of their own.
         back = 1.0 / (1.0 + ahead)
         kept = np.eye(3) - np.outer(self._correct, (1.0, 0.0, 0.0))
@@ -221,7 +221,7 @@ class ObserverSource:
         states = np.linalg.solve(system, inputs)
         own = self._feed * self._inertia * states[:, 2]
         answer = law.position[:, None] * states[:, 0] + law.velocity[:, None] * states[:, 1] + own
-        return Response(answer[:, 0] / (1.0 + answer[:, 1]), np.zeros_like(ahead))
+        return FrequencyResponse(answer[:, 0] / (1.0 + answer[:, 1]), np.zeros_like(ahead))
 
 
 LinearSource = MeasuredSource | FilteredSource | ObserverSource
@@ -238,11 +238,11 @@ def linear_source(settings: LoopSettings) -> LinearSource:
     design = observer_design(settings)
     if design is not None:
         return ObserverSource(design, settings.observer.feed_disturbance)
-    if settings.velocity.source == "homogeneous_differentiator":
+    if settings.velocity.velocity_source == "homogeneous_differentiator":
         return FilteredSource(0.0, period)
     if settings.velocity.is_measured:
         return MeasuredSource()
-    return FilteredSource(settings.velocity.filter_time_constant, period)
+    return FilteredSource(settings.velocity.velocity_filter_time_constant, period)
 
 
 class LawStep(NamedTuple):
@@ -281,7 +281,7 @@ class FrozenLoop:
         ahead = np.expm1(1j * self.joint.period * frequency)
         law, summed = self._law, self.joint.period / ahead
         controller = self._source.controller(
-            Response(
+            FrequencyResponse(
                 law.position + law.integral_position * summed,
                 law.velocity + law.integral_velocity * summed,
             ),

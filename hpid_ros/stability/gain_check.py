@@ -245,7 +245,7 @@ def settling_time_bound(
     return max(times)
 
 
-LARGEST_NORM = 2.0
+LARGEST_QUOTED_NORM = 2.0
 """The error at ``norm.error_scale`` while the rate adds as much: where figures are quoted."""
 
 
@@ -331,7 +331,7 @@ def _settling_bound(
     return settling_time_bound(certificate, norm, (family.error_scale, 0.0, 0.0))
 
 
-def inertia_of(
+def judged_inertia(
     settings: LoopSettings, known: tuple[float, float] | None = None
 ) -> tuple[float, float]:
     """Return the inertia to judge a loop with."""
@@ -356,7 +356,7 @@ def _multipliers(settings: LoopSettings) -> tuple[float, float]:
     The derivative gain is multiplied by lam, the proportional one by its square, the integral
     one by its cube. Source: the paper, equation (8).
     """
-    cap = min(settings.norm.cap, LARGEST_NORM)
+    cap = min(settings.norm.cap, LARGEST_QUOTED_NORM)
     floor, degree = min(settings.norm_floor, cap), settings.degree
     at_floor = math.inf if floor == 0.0 and degree < 0.0 else math.pow(floor, degree)
     least, largest = sorted((at_floor, math.pow(cap, degree)))
@@ -367,7 +367,7 @@ CERTIFICATES = "certificates"
 """Key of a file of certificates by name; a name may have several (corners of ranges of gains)."""
 
 
-class Verification(NamedTuple):
+class CertificateVerification(NamedTuple):
     """What became of one saved certificate."""
 
     holds: bool  # whether it holds
@@ -404,22 +404,22 @@ def saved_certificates(path: Path) -> dict[str, list[Mapping[str, Any]]]:
     return {name: each if isinstance(each, list) else [each] for name, each in found.items()}
 
 
-def verify(saved: Sequence[Mapping[str, Any]]) -> Verification:
+def verify_certificates(saved: Sequence[Mapping[str, Any]]) -> CertificateVerification:
     """Check a loop's saved certificates again, without anything of the search that found them."""
     found = []
     for number, each in enumerate(saved, 1):
         where = f"certificate {number} of {len(saved)} " if len(saved) > 1 else ""
         if isinstance(each, Mapping) and "reason" in each:
-            return Verification(False, f"none was found: {each['reason']}")
+            return CertificateVerification(False, f"none was found: {each['reason']}")
         certificate = Certificate.from_mapping(each)
         try:
             rate = verify_certificate(certificate).rate
         except (GainError, np.linalg.LinAlgError) as error:
-            return Verification(False, f"{where}does NOT hold: {error}")
+            return CertificateVerification(False, f"{where}does NOT hold: {error}")
         found.append((certificate.lower, certificate.upper, rate))
     if not found:
-        return Verification(False, "none was found")
+        return CertificateVerification(False, "none was found")
     lowers, uppers, rates = zip(*found, strict=True)
     holds = "holds" if len(found) == 1 else f"all {len(found)} hold"
     degrees = f"mu {min(lowers):+.3f} to {max(uppers):+.3f}"
-    return Verification(True, f"{holds}, {degrees}, least rate {min(rates):.3g} 1/s")
+    return CertificateVerification(True, f"{holds}, {degrees}, least rate {min(rates):.3g} 1/s")

@@ -28,7 +28,7 @@ from hpid_ros.base.units import Numbers
 from hpid_ros.control.settings import LARGEST_NORM as NO_CAP
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.frequency import Complexes, FrozenLoop, SampledJoint
-from hpid_ros.stability.gain_check import LARGEST_NORM
+from hpid_ros.stability.gain_check import LARGEST_QUOTED_NORM
 
 _BELOW = 1e-2  # of the lowest corner frequency, where a search begins
 _POINTS = 1200
@@ -337,7 +337,7 @@ def loop_family(
     norms = (1.0, 1.0)
     if settings.degree != 0.0:
         cap = settings.norm.cap
-        default = cap if cap < NO_CAP else LARGEST_NORM
+        default = cap if cap < NO_CAP else LARGEST_QUOTED_NORM
         highest = min(cap, default if largest_norm is None else largest_norm)
         least = min(max(settings.norm_floor, _LEAST_NORM), highest)
         norms = (least, highest)

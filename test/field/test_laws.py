@@ -142,7 +142,7 @@ def test_the_shortest_time_between_states_is_no_endless_velocity(source, dt_ns):
     held(loop, 100)
     resolution = 1e-4
     effort = loop.step(99 * MS + dt_ns, resolution, 0.0)
-    slow = KD * resolution / loop.settings.velocity.filter_time_constant
+    slow = KD * resolution / loop.settings.velocity.velocity_filter_time_constant
     assert abs(effort) <= KP * resolution + slow + 0.1
 
 

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rcl_interfaces.srv import GetParameters
 
-from hpid_bench.experiment.compare import compare
+from hpid_bench.experiment.compare import run_comparison
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.graph_run import GraphOptions
 from hpid_bench.experiment.in_process import NoProgress
@@ -156,7 +156,7 @@ def test_the_graph_answers_as_the_loops_in_this_process_do(tmp_path):
     for name, is_here in (("graph", False), ("here", True)):
         options = GraphOptions(processes="each")
         folder = tmp_path / name
-        compare(experiment, folder, NoProgress(), options=options, in_process=is_here)
+        run_comparison(experiment, folder, NoProgress(), options=options, in_process=is_here)
         runs.append({each.joint: each for each in read_run(folder / "bags" / "PID", "run").joints})
     graph, here = runs
     assert set(graph) == set(here) == set(JOINTS)

@@ -25,7 +25,13 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from hpid_bench.cli.commands.motions import agreed
 from hpid_bench.cli.main import main
 from hpid_bench.cli.options import parameter_file
-from hpid_bench.live.motion import bounds_of, carry_out, carry_out_relay, chosen, relay_findings
+from hpid_bench.live.motion import (
+    bounds_of,
+    carry_out,
+    carry_out_relay,
+    chosen_controllers,
+    relay_findings,
+)
 from hpid_bench.live.running_controllers import running_graph
 from hpid_ros.base.errors import SettingError
 from hpid_ros.messages.run import read_run
@@ -185,7 +191,7 @@ def read_estimates(file):
 def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(harness, tmp_path):
     start_turntable(harness, tmp_path, "lockstep")
     graph = running_graph()
-    controllers = chosen(graph, [])
+    controllers = chosen_controllers(graph, [])
     (bounds,) = [bounds_of(each, INERTIA) for each in controllers]
     stood = []
     publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", RARE)

@@ -8,7 +8,7 @@ import pytest
 import rclpy
 import yaml
 
-from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate_task
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.in_process import write_document, write_run_files
 from hpid_ros.base.errors import ExperimentError, HpidError
@@ -175,12 +175,12 @@ def test_a_world_that_cannot_be_is_refused_in_one_line(
 def test_a_kept_world_repeats_a_run_with_everything_on_to_the_last_bit(everything):
     task = RunTask.of(everything, "hPID")
     with WorldKeeper() as keeper:
-        first = simulate(task, keeper)
+        first = simulate_task(task, keeper)
         world = keeper.at_start(task.world)
-        second = simulate(task, keeper)
+        second = simulate_task(task, keeper)
         assert keeper.at_start(task.world) is world
     with WorldKeeper() as fresh:
-        third = simulate(task, fresh)
+        third = simulate_task(task, fresh)
     for series in zip(first.joints, second.joints, third.joints, strict=True):
         one, two, three = (each.position.tolist() for each in series)
         assert one == two == three

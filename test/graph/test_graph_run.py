@@ -17,7 +17,7 @@ from harness.studies import children_of, is_alive, wait_until
 from mcap_ros2.reader import read_ros2_messages
 
 from hpid_bench.experiment import graph_run
-from hpid_bench.experiment.compare import compare
+from hpid_bench.experiment.compare import run_comparison
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.forking import Beginning, ForkServer
 from hpid_bench.experiment.graph_run import GraphOptions, run_on_graph
@@ -30,7 +30,7 @@ from hpid_ros.messages.run import read_run
 def run_compare(experiment, folder, **options):
     """Return the result's folder."""
     each = GraphOptions(processes="each")
-    compare(experiment, folder, NoProgress(), options=each, **options)
+    run_comparison(experiment, folder, NoProgress(), options=each, **options)
     return folder
 
 

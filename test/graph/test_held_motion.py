@@ -16,7 +16,7 @@ from harness.graph import change, state
 from harness.turntable import INERTIA, positions, start_turntable, wait_for_rest
 
 from hpid_bench.live.exciter import DeadMan
-from hpid_bench.live.motion import HELD_WITHIN, Button, HeldMotion, bounds_of, chosen
+from hpid_bench.live.motion import HELD_WITHIN, Button, HeldMotion, bounds_of, chosen_controllers
 from hpid_bench.live.running_controllers import running_graph
 from hpid_ros.base.errors import RunError
 from hpid_ros.motion.excitation import Design, Wish, plan
@@ -54,7 +54,7 @@ class Bench:
 
     def __init__(self, harness, graph, folder):
         self.harness, self.graph, self.folder = harness, graph, folder
-        self.controllers = chosen(graph, [])
+        self.controllers = chosen_controllers(graph, [])
 
     def order(self, name):
         """Return what a motion from where the joint rests is made of."""

@@ -22,8 +22,8 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from hpid_bench.live import graph_client
-from hpid_bench.live.controllers import Answer, Samples
 from hpid_bench.live.graph_client import GraphClient, parameter
+from hpid_bench.live.known_controllers import Answer, Samples
 from hpid_bench.live.streams import controller_topics
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.messages.joint_state import JointStateTemplate

@@ -18,7 +18,12 @@ from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.metadata import MISSED, STOOD_STILL, custom_data, recorded_slides
+from hpid_ros.messages.metadata import (
+    MISSED_ENTRY,
+    STOOD_STILL_ENTRY,
+    custom_data,
+    recorded_slides,
+)
 from hpid_ros.messages.writer import repair_bag
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
 
@@ -166,8 +171,8 @@ def test_a_recorder_that_was_frozen_tells_what_it_missed(harness, tmp_path, faul
     assert events.last("stood_still")["duration"] > 2.0
     metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
     custom = metadata["rosbag2_bagfile_information"]["custom_data"]
-    assert json.loads(custom[MISSED]) == {"/joint_states": missed()}
-    assert float(custom[STOOD_STILL]) > 2.0
+    assert json.loads(custom[MISSED_ENTRY]) == {"/joint_states": missed()}
+    assert float(custom[STOOD_STILL_ENTRY]) > 2.0
     with BagReader(tmp_path / "bag") as bag:
         assert len(list(bag.messages())) == events.recorded()
     assert recorder.last_words().endswith(f"missed {missed()} on /joint_states")

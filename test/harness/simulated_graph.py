@@ -8,7 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpid_bench.live.controllers import Answer, Change, Controller, Health, RunningGraph, Samples
+from hpid_bench.live.known_controllers import (
+    Answer,
+    Change,
+    Health,
+    RunningController,
+    RunningGraph,
+    Samples,
+)
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
@@ -90,9 +97,9 @@ class SimulatedGraph:
         self._changes: list[Change] = []
         self._began = time.monotonic()
 
-    def controllers(self) -> dict[str, Controller]:
+    def controllers(self) -> dict[str, RunningController]:
         return {
-            node: Controller(
+            node: RunningController(
                 node,
                 {**_OF_NODE, **joint.settings.to_parameters()},
                 joint.settings,

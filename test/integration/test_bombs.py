@@ -21,7 +21,7 @@ from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.files import LARGEST_JSON
 from hpid_ros.base.yaml_files import MOST_LEVELS, load_yaml
 from hpid_ros.messages.mcap_file import LIMIT_VARIABLE, zstd_library
-from hpid_ros.messages.metadata import PARAMETERS
+from hpid_ros.messages.metadata import CONTROLLERS_ENTRY
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.writer import BagWriter
 
@@ -192,11 +192,11 @@ def test_whatever_reads_a_document_refuses_such_a_one(tmp_path, refused):
     (line,) = read_run(bag, "run").quality.unreadable
     assert "metadata.yaml is damaged; the files were read without it" in line
     assert reason in line
-    with BagWriter(tmp_path / "controlled", metadata={PARAMETERS: text}) as writer:
+    with BagWriter(tmp_path / "controlled", metadata={CONTROLLERS_ENTRY: text}) as writer:
         for name in ("joint_states", "joint_commands"):
             writer.add_topic(name, "sensor_msgs/msg/JointState")
     line = refused("replay", tmp_path / "controlled")
-    assert PARAMETERS in line
+    assert CONTROLLERS_ENTRY in line
     assert reason in line
     (tmp_path / "saved.json").write_text("[" * 100_000)
     assert "saved.json is no JSON" in refused("metrics", tmp_path / "saved.json")

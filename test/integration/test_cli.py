@@ -12,7 +12,7 @@ from harness.engines import needs_bullet
 from harness.studies import compared
 
 from hpid_bench.cli.commands import BAD_INPUT, DONE, UNREAD
-from hpid_bench.cli.main import COMMANDS, main
+from hpid_bench.cli.main import SUBCOMMANDS, main
 from hpid_bench.cli.options import progress
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.report.console import TextConsole
@@ -199,7 +199,7 @@ def test_a_name_next_to_a_progress_bar_is_text():
     assert "[b]elbow" in console.file.getvalue()
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", SUBCOMMANDS)
 def test_help_fits_a_screen_and_has_an_example(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
 
@@ -223,7 +223,7 @@ def test_hpid_alone_says_what_there_is_and_what_to_do_first(capsys):
     printed = capsys.readouterr().out
     assert max(map(len, printed.splitlines())) <= 80
     assert "first:" in printed
-    assert all(f"\n  {command} " in printed for command in COMMANDS)
+    assert all(f"\n  {command} " in printed for command in SUBCOMMANDS)
     for option in ("--help", "-h"):
         with pytest.raises(SystemExit):
             main([option])

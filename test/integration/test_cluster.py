@@ -21,8 +21,8 @@ from harness.studies import study, wait_until
 
 from hpid_bench.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_bench.experiment import cluster as client
-from hpid_bench.experiment.batch import RunTask, WorldKeeper, run_batch, simulate
-from hpid_bench.experiment.cluster import Cluster, differences, pack, traits, unpack, work
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, run_batch, simulate_task
+from hpid_bench.experiment.cluster import Cluster, pack, traits, unpack, version_differences, work
 from hpid_bench.experiment.description import load_experiment
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.resources import share_folder
@@ -187,7 +187,7 @@ def test_a_worker_that_comes_later_is_looked_at_as_it_works(experiment_file):
         work(parcel, dict(traits(("mujoco",)), hpid_ros="9.9"), task)
     with pytest.raises(RunError, match=r"it has no pybullet$"):
         work(parcel, dict(traits(("mujoco",)), pybullet="3.2.7"), task)
-    assert differences(traits(()), traits(("mujoco",))) == ""
+    assert version_differences(traits(()), traits(("mujoco",))) == ""
     assert {"mujoco", "scipy"} <= traits(("mujoco",)).keys()
 
 
@@ -278,7 +278,7 @@ def test_a_robot_travels_with_its_meshes_and_keeps_its_numbers(path):
     assert str(experiment.world.robot_description) not in repr(packed)
     there = unpack(parcel, packed)
     with WorldKeeper() as keeper:
-        here, away = simulate(task, keeper), simulate(there, keeper)
+        here, away = simulate_task(task, keeper), simulate_task(there, keeper)
     for one, other in zip(here.joints, away.joints, strict=True):
         assert one.position.tolist() == other.position.tolist()
         assert one.effort.tolist() == other.effort.tolist()

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from harness.places import ROOT
 
-from hpid_bench.cli.main import COMMANDS as COMMANDS_OF_HPID
+from hpid_bench.cli.main import SUBCOMMANDS as COMMANDS_OF_HPID
 from hpid_bench.cli.main import _parser as parser_of
 from hpid_bench.cli.main import main
 from hpid_bench.experiment.description import load_experiment

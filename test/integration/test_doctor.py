@@ -30,7 +30,7 @@ def test_each_thing_has_a_line_and_two_nodes_meet_within_a_second(capsys, monkey
     code = main(["doctor", "--json"])
     found = {each["name"]: each for each in json.loads(capsys.readouterr().out)}
     assert len(found) == len(doctor.LOOKS)
-    assert found["discovery"]["state"] == doctor.OK, found
+    assert found["discovery"]["state"] == doctor.GOOD, found
     assert code == (FAILED if "bad" in {each["state"] for each in found.values()} else DONE)
 
 
@@ -79,7 +79,7 @@ def test_nodes_that_may_not_find_each_other_are_told_with_the_setting(monkeypatc
 
 def test_shared_memory_that_is_full_or_not_there_is_told(monkeypatch, tmp_path):
     monkeypatch.setattr(doctor, "SHARED_MEMORY", tmp_path)
-    monkeypatch.setattr(doctor, "ROOM", 2**80)
+    monkeypatch.setattr(doctor, "SHARED_MEMORY_ROOM", 2**80)
     assert "--shm-size" in doctor.shared_memory().remedy
     monkeypatch.setattr(doctor, "SHARED_MEMORY", Path("/nowhere"))
     assert doctor.shared_memory().state == doctor.BAD

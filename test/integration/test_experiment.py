@@ -47,7 +47,7 @@ def test_loops_know_the_robot_s_encoders_and_limits_unless_the_file_says_more(ex
     own = {"u_clamp_max": 3.0}
     path = experiment_file(sensors__encoder_counts=1000, controllers__joints__arm_joint_2=own)
     loops = load_experiment(path).controllers["PID"]
-    assert {each.encoder.resolution for each in loops} == {math.tau / 1000}
+    assert {each.encoder.encoder_resolution for each in loops} == {math.tau / 1000}
     limits = {each.joint: (each.effort.u_clamp_min, each.effort.u_clamp_max) for each in loops}
     assert limits["arm_joint_1"] == (-30.0, 30.0)
     assert limits["arm_joint_2"] == (-45.0, 3.0)
@@ -122,7 +122,7 @@ def test_an_event_as_a_period_begins_is_of_that_period_at_every_rate(experiment_
     world = load_experiment(path).world
     begins_ns = [each.start_ns for each in world.disturbances.in_order()]
     assert begins_ns == [99_999_990, 99_999_990, 100_100_000]
-    assert world.workplace.schedule[0].time_ns == 99_999_990
+    assert world.workplace.grips[0].time_ns == 99_999_990
 
 
 def test_what_a_model_has_and_nothing_drives_is_locked(experiment_file, tmp_path):

@@ -14,7 +14,7 @@ import yaml
 from harness.engines import HAS_BULLET, needs_bullet
 
 from hpid_bench.cli.main import main
-from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate
+from hpid_bench.experiment.batch import RunTask, WorldKeeper, simulate_task
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.in_process import write_run_files
 from hpid_bench.tuning.loop_simulation import RobotSimulation
@@ -31,7 +31,7 @@ from hpid_ros.base.resources import (
     share_folder,
 )
 from hpid_ros.base.yaml_files import load_yaml
-from hpid_ros.control.controller_files import settings_from_parameters
+from hpid_ros.control.parameter_files import settings_from_parameters
 from hpid_ros.metrics.run_numbers import run_indices
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import RobotDescription
@@ -230,7 +230,7 @@ def test_the_baseline_settles_within_the_limits_of_the_arm(name: str):
     experiment = load_experiment(EXPERIMENTS / f"{name}.yaml")
     joints = RobotDescription.load(experiment.world.robot_description).joints
     with WorldKeeper() as keeper:
-        run = simulate(RunTask.of(experiment, "PID"), keeper)
+        run = simulate_task(RunTask.of(experiment, "PID"), keeper)
     for series in run.joints:
         late = series.time > experiment.duration - 1.0
         assert np.abs(series.reference - series.position)[late].max() < 0.01

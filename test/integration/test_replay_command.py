@@ -25,7 +25,7 @@ from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.messages.messages import PARAMETER_EVENTS
-from hpid_ros.messages.metadata import PARAMETERS, custom_data
+from hpid_ros.messages.metadata import CONTROLLERS_ENTRY, custom_data
 from hpid_ros.messages.writer import BagWriter
 
 FLOAT = "std_msgs/msg/Float64"
@@ -46,7 +46,7 @@ def bag(tmp_path_factory):
 
 def rewritten(bag, target, change, keeps_parameters=True):
     """Write a bag again, with each message as ``change(topic, raw)`` gives it; None drops it."""
-    metadata = {PARAMETERS: custom_data(bag)[PARAMETERS]} if keeps_parameters else {}
+    metadata = {CONTROLLERS_ENTRY: custom_data(bag)[CONTROLLERS_ENTRY]} if keeps_parameters else {}
     with BagReader(bag) as reader, BagWriter(target, metadata=metadata) as writer:
         topics = {
             name: writer.add_topic(name, each.msgtype) for name, each in reader.topics.items()

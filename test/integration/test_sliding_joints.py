@@ -16,12 +16,12 @@ from harness.bags import JOINT_STATE, MS, command, ramp, serialised, state, traj
 from harness.studies import compared
 
 from hpid_bench.cli.commands import BAD_INPUT, DONE
-from hpid_bench.cli.options import sliding_joints
+from hpid_bench.cli.options import sliding_joints_from
 from hpid_bench.report.figures import figures_of
 from hpid_bench.tuning.upgrade import Proposals, Upgrade
 from hpid_bench.tuning.upgrade_page import _changes
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.messages.metadata import SLIDES, recorded_slides, slides_entry
+from hpid_ros.messages.metadata import SLIDES_ENTRY, recorded_slides, slides_entry
 from hpid_ros.messages.series import RunSeries
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics import measure
@@ -279,7 +279,7 @@ def test_what_one_recording_knows_holds_for_all_beside_it(hpid, experiment, tmp_
 @pytest.mark.parametrize("entry", ["", "{", '"lift"', "[3]", "{}"])
 def test_metadata_come_back_and_damaged_ones_say_nothing(entry):
     assert recorded_slides(slides_entry({"a", "b"})) == {"a", "b"}
-    assert recorded_slides({SLIDES: entry}) == frozenset()
+    assert recorded_slides({SLIDES_ENTRY: entry}) == frozenset()
 
 
 # Drawings --------------------------------------------------------------------------------------
@@ -347,8 +347,8 @@ def test_margins_and_check_gains_ask_whoever_knows_what_slides(experiment, resul
         (str(experiment.with_name("lift.urdf")), None, {"lift"}),
         ("", None, set()),
     ):
-        assert sliding_joints(Namespace(urdf=urdf, bag=bag), None) == slides
-    assert sliding_joints(Namespace(urdf=""), None) == set()
+        assert sliding_joints_from(Namespace(urdf=urdf, bag=bag), None) == slides
+    assert sliding_joints_from(Namespace(urdf=""), None) == set()
 
 
 def test_margins_are_drawn_on_the_inertia_in_its_unit(hpid, experiment, tmp_path):

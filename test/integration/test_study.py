@@ -23,7 +23,7 @@ from hpid_bench.experiment.batch import (
     RunRecord,
     RunTask,
     WorldKeeper,
-    simulate,
+    simulate_task,
     simulated,
 )
 from hpid_bench.experiment.description import load_experiment
@@ -68,7 +68,7 @@ def test_the_last_second_is_the_last_second(studied):
     task = replace(RunTask.of(experiment, "PID"), periods=1500, joints=("arm_joint_1",))
     with WorldKeeper() as keeper:
         numbers = simulated(task, keeper).numbers
-        run = simulate(task, keeper)
+        run = simulate_task(task, keeper)
     (series,) = [each for each in run.joints if each.joint == "arm_joint_1"]
     errors = np.abs(series.error)
     for joint in ("arm_joint_1", TOTAL):

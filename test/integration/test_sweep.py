@@ -340,7 +340,7 @@ def test_each_robot_has_its_own_baseline(experiment):
         assert row.world.payload_mass == row.values["payload"]
         counts = row.values["encoder_counts"]
         resolution = 2.0 * np.pi / counts if counts else 0.0
-        assert {each.encoder.resolution for each in row.loops} == {resolution}
+        assert {each.encoder.encoder_resolution for each in row.loops} == {resolution}
         if row.baseline is not None:
             against = sweep.rows[row.baseline]
             assert against.world == row.world

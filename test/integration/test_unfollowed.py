@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hpid_bench.experiment.compare import Result, save_numbers
+from hpid_bench.experiment.compare import ExperimentResult, save_numbers
 from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.result_folder import ResultFolder
 from hpid_ros.messages.quality import DataQuality, RecordingQuality, StampQuality
@@ -91,7 +91,9 @@ def test_a_comparison_names_the_joint_below_the_table_and_in_the_result(experime
             RunSeries(label, (series("elbow", MOVE, MOVE + offset),))
             for label, offset in offsets.items()
         ]
-        return Result(experiment, runs, Comparison(tuple(run_indices(run) for run in runs)))
+        return ExperimentResult(
+            experiment, runs, Comparison(tuple(run_indices(run) for run in runs))
+        )
 
     followed, not_followed = result(PID=0.0, hPID=0.01), result(PID=0.0, hPID=0.4)
     assert not followed.notes

@@ -412,7 +412,7 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(
         assert settings.law == "hpid"
         assert settings.mu < 0.0
         assert settings.gains == before[name].gains
-        assert settings.encoder.resolution == pytest.approx(math.tau / 16384, rel=1e-4)
+        assert settings.encoder.encoder_resolution == pytest.approx(math.tau / 16384, rel=1e-4)
     assert main(["check-gains", str(file)]) == DONE
     (urdf := tmp_path / "robot.urdf").write_text(URDF.read_text())
     command[command.index("--urdf") + 1] = str(urdf)

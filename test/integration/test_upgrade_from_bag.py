@@ -24,7 +24,7 @@ from hpid_bench.experiment.description import load_experiment
 from hpid_bench.experiment.in_process import NoProgress, run_without_ros
 from hpid_bench.tuning.upgrade_prediction import Prediction, _ran, read_prediction
 from hpid_ros.base.resources import share_folder
-from hpid_ros.messages.metadata import PARAMETERS, custom_data, missed_entries
+from hpid_ros.messages.metadata import CONTROLLERS_ENTRY, custom_data, missed_entries
 from hpid_ros.messages.writer import BagWriter
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
@@ -209,7 +209,9 @@ def with_custom_data(bag, folder, change):
 def test_a_bag_without_parameters_says_what_to_give(place, tmp_path, capsys):
     bare = with_custom_data(place / "before", tmp_path, dict.clear)
     for file in bare.glob("*.mcap"):
-        file.write_bytes(file.read_bytes().replace(PARAMETERS.encode(), b"x" * len(PARAMETERS)))
+        file.write_bytes(
+            file.read_bytes().replace(CONTROLLERS_ENTRY.encode(), b"x" * len(CONTROLLERS_ENTRY))
+        )
     new = ["--urdf", place / "two_links.urdf", "-o", tmp_path / "new.yaml"]
     assert "give them with --params FILE" in refused(capsys, bare, *new)
     assert not list(tmp_path.glob("new.*"))

@@ -4,6 +4,7 @@ Two houses: what drives a robot, and the bench, which may use it and is not used
 """
 
 import ast
+import collections
 import functools
 import importlib.util
 import inspect
@@ -386,3 +387,51 @@ def test_no_own_private_name_hides_one_of_a_foreign_base():
                     assert not hidden, f"{node.name} hides {hidden} of {base}"
                     checked += 1
     assert checked > 5
+
+
+# One name, one thing: else a search for a name leads astray.
+MODULES_OWN = {"USAGE"}  # each node has one, what its --help says
+
+
+def doubled(places):
+    return {name: each for name, each in places.items() if len(each) > 1}
+
+
+def test_a_class_has_its_name_for_itself():
+    places = collections.defaultdict(list)
+    for path in modules():
+        for node in classes(parsed(path)):
+            places[node.name].append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert doubled(places) == {}
+
+
+def test_a_public_constant_or_type_means_the_same_wherever_it_is():
+    meanings = collections.defaultdict(dict)
+    for path in modules():
+        named = [(node.name, f"class in {path}") for node in classes(parsed(path))]
+        for name, meaning in [*named, *constants(parsed(path))]:
+            if not name.startswith("_") and name not in MODULES_OWN:
+                meanings[name][meaning] = path.relative_to(ROOT)
+    assert doubled(meanings) == {}
+
+
+def constants(tree):
+    """Yield the names that a module binds, each with the text of what it is bound to."""
+    for node in tree.body:
+        if isinstance(node, ast.AnnAssign) and node.value is not None:
+            targets = [node.target]
+        else:
+            targets = node.targets if isinstance(node, ast.Assign) else []
+        for target in targets:
+            if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
+                pairs = zip(target.elts, node.value.elts, strict=True)
+            else:
+                pairs = [(target, node.value)]
+            for each, value in pairs:
+                if isinstance(each, ast.Name):
+                    yield each.id, ast.unparse(value)
+
+
+def test_a_doubled_name_is_seen():
+    found = list(constants(ast.parse("A, B = 1, 2\nA: int = 3\nC = dict[str, int]")))
+    assert found == [("A", "1"), ("B", "2"), ("A", "3"), ("C", "dict[str, int]")]

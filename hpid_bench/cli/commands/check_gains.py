@@ -22,7 +22,7 @@ from hpid_bench.cli.options import (
     named_experiment,
     print_undriven,
     shown_name,
-    sliding_joints,
+    sliding_joints_from,
     warn_unlimited,
 )
 from hpid_bench.cli.robot_arguments import GAIN_OPTIONS
@@ -34,20 +34,20 @@ from hpid_bench.tuning.gain_design import design, held_by_friction, yaml_text
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.base.units import of_slide, unit_over
-from hpid_ros.control.controller_files import ParameterFile
 from hpid_ros.control.homogeneous_pid import Gains
 from hpid_ros.control.laws import LAWS
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
+from hpid_ros.control.parameter_files import ParameterFile
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.metrics.results import for_json
 from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
     LARGEST_SAMPLING_MARGIN_LATE,
+    CertificateVerification,
     GainVerdict,
-    Verification,
     check_gains,
     saved_certificates,
-    verify,
+    verify_certificates,
 )
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({name: _plain(each) for name, each in by_name.items()}, indent=2))
     else:
-        slides = sliding_joints(options, experiment)
+        slides = sliding_joints_from(options, experiment)
         sliding = [
             name
             for name, settings in zip(by_name, loops.values(), strict=True)
@@ -181,8 +181,8 @@ def _verify(saved: Mapping[str, Sequence[Mapping[str, Any]]], as_json: bool) -> 
     return DONE if all(each.holds for each in findings.values()) else FAILED
 
 
-def _verified(loop: tuple[str, Sequence[Mapping[str, Any]]]) -> Verification:
-    return verify(loop[1])
+def _verified(loop: tuple[str, Sequence[Mapping[str, Any]]]) -> CertificateVerification:
+    return verify_certificates(loop[1])
 
 
 def _loops(options: argparse.Namespace) -> tuple[Experiment | None, ParameterFile]:

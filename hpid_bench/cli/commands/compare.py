@@ -22,7 +22,7 @@ from hpid_bench.cli.terminal import (
     print_runs,
     print_timing,
 )
-from hpid_bench.experiment.compare import Result, compare, run_controller
+from hpid_bench.experiment.compare import ExperimentResult, run_comparison, run_controller
 from hpid_bench.experiment.graph_run import GraphOptions
 from hpid_bench.experiment.in_process import RunReport
 from hpid_bench.experiment.result_folder import ResultFolder
@@ -45,12 +45,12 @@ def run(options: argparse.Namespace) -> int:
     unprinted = Unprinted()
     with RunProgress(console, experiment, tuple(experiment.controllers)) as progress:
 
-        def show(result: Result, reports: Sequence[RunReport]) -> None:
+        def show(result: ExperimentResult, reports: Sequence[RunReport]) -> None:
             with unprinted:
                 progress.finish()
                 _print(console, result, reports)
 
-        compare(
+        run_comparison(
             *(experiment, output, progress),
             in_process=options.in_process,
             options=GraphOptions(options.processes),
@@ -110,7 +110,7 @@ def run_one(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _print(console: Console, result: Result, reports: Sequence[RunReport]) -> None:
+def _print(console: Console, result: ExperimentResult, reports: Sequence[RunReport]) -> None:
     console.print(ComparisonTable(result.comparison))
     print_notes(console, result.notes)
     print_runs(console, reports, result.experiment.duration)

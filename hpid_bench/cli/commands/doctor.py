@@ -20,14 +20,14 @@ from rich.text import Text
 
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.terminal import output_console
-from hpid_bench.experiment.processes import ROOM, SHARED_MEMORY
+from hpid_bench.experiment.processes import SHARED_MEMORY, SHARED_MEMORY_ROOM
 from hpid_ros.base.libraries import OPTIONAL, Library
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.simulation.settings import ENGINES
 
 # Fine; something that not everybody needs is missing; controllers or the robot will not run.
-OK, NOTE, BAD = "ok", "note", "bad"
-_LOOKS = {OK: "green", NOTE: "yellow", BAD: "red"}
+GOOD, NOTE, BAD = "ok", "note", "bad"
+_LOOKS = {GOOD: "green", NOTE: "yellow", BAD: "red"}
 _PYTHONS = (3, 10), (3, 13)  # the oldest, and the newest that the suite was run with
 _FOUND_WITHIN = 1.0  # [s]
 _OPENGL = "apt install libegl1 libgl1-mesa-dri (or libosmesa6)"
@@ -40,7 +40,7 @@ _SETTINGS = (
 
 
 class Finding(NamedTuple):
-    state: str  # OK, NOTE or BAD
+    state: str  # GOOD, NOTE or BAD
     found: str
     remedy: str = ""
 
@@ -70,7 +70,7 @@ def python() -> Finding:
     oldest, newest = (".".join(map(str, each)) for each in _PYTHONS)
     if not _PYTHONS[0] <= sys.version_info[:2] <= _PYTHONS[1]:
         return Finding(NOTE, found, f"known to work are {oldest} to {newest}")
-    return Finding(OK, found)
+    return Finding(GOOD, found)
 
 
 def ros() -> Finding:
@@ -93,7 +93,7 @@ def ros() -> Finding:
         )
     if distribution not in ("", "jazzy"):
         return Finding(NOTE, f"{distribution} in {place}", "known to work is jazzy")
-    return Finding(OK, f"{'wheels from PyPI' if is_wheel else 'jazzy'} in {place}")
+    return Finding(GOOD, f"{'wheels from PyPI' if is_wheel else 'jazzy'} in {place}")
 
 
 def middleware() -> Finding:
@@ -111,7 +111,7 @@ def middleware() -> Finding:
     name = done.stdout.split()[-1]
     if not name.startswith("rmw_fastrtps"):
         return Finding(NOTE, name, "rates and delays of docs/performance.md are of Fast DDS")
-    return Finding(OK, name)
+    return Finding(GOOD, name)
 
 
 def discovery() -> Finding:
@@ -133,7 +133,7 @@ def discovery() -> Finding:
     found = f"a node in another process was found, and answered, within {took:.2f} s"
     if took > _FOUND_WITHIN:
         return Finding(NOTE, found, f"that is slow; {remedy}")
-    return Finding(OK, found)
+    return Finding(GOOD, found)
 
 
 def shared_memory() -> Finding:
@@ -146,10 +146,10 @@ def shared_memory() -> Finding:
         )
     free = shutil.disk_usage(SHARED_MEMORY).free
     found = f"{free / 2**20:.0f} MB free in {SHARED_MEMORY}"
-    if free < ROOM:
+    if free < SHARED_MEMORY_ROOM:
         remedy = "remove what fills it, or make it larger (docker run --shm-size=512m)"
         return Finding(BAD, found, remedy)
-    return Finding(OK, found)
+    return Finding(GOOD, found)
 
 
 def real_time() -> Finding:
@@ -164,7 +164,7 @@ def real_time() -> Finding:
             "for a real arm: '@realtime - rtprio 98' in /etc/security/limits.d/, this user in "
             "that group, then log in again",
         )
-    return Finding(OK, f"SCHED_FIFO is granted, {kernel}")
+    return Finding(GOOD, f"SCHED_FIFO is granted, {kernel}")
 
 
 def engines() -> Finding:
@@ -182,7 +182,7 @@ def engines() -> Finding:
         return Finding(BAD, "; ".join(failed) + ": no simulated robot", remedy)
     if failed:
         return Finding(NOTE, f"{', '.join(found)}; {'; '.join(failed)}", remedy)
-    return Finding(OK, ", ".join(found))
+    return Finding(GOOD, ", ".join(found))
 
 
 def libraries() -> Finding:
@@ -192,7 +192,7 @@ def libraries() -> Finding:
         if find_spec(name) is None:
             missing.setdefault(library, []).append(name)
     if not missing:
-        return Finding(OK, ", ".join(asked))
+        return Finding(GOOD, ", ".join(asked))
     needs = (f"{', '.join(names)}, for {each.purpose}" for each, names in missing.items())
     return Finding(
         NOTE,
@@ -210,7 +210,7 @@ def drawing() -> Finding:
     if done.returncode:
         found = _last(done.stderr).removesuffix(f": {_OPENGL}")
         return Finding(NOTE, f"hpid render cannot draw: {found}", _OPENGL)
-    return Finding(OK, "hpid render can draw, no screen needed")
+    return Finding(GOOD, "hpid render can draw, no screen needed")
 
 
 LOOKS: dict[str, Callable[[], Finding]] = {

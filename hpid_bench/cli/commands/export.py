@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hpid_bench.cli.commands import DONE
 from hpid_bench.cli.options import (
-    Range,
+    InertiaPair,
     first_homogeneous,
     inertias_from,
     joint_progress,
@@ -35,7 +35,7 @@ from hpid_ros.base.yaml_files import load_document
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.robot.loop_settings import on_robot
 from hpid_ros.stability.gain_boxes import gain_ranges
-from hpid_ros.stability.gain_check import inertia_of
+from hpid_ros.stability.gain_check import judged_inertia
 
 
 def run(options: argparse.Namespace) -> int:
@@ -76,7 +76,7 @@ def _without_feedforward(loop: LoopSettings) -> LoopSettings:
 
 
 def _export_plugin(
-    options: argparse.Namespace, loops: Sequence[LoopSettings], inertias: Mapping[str, Range]
+    options: argparse.Namespace, loops: Sequence[LoopSettings], inertias: Mapping[str, InertiaPair]
 ) -> int:
     if options.precision != "double":
         raise SettingError("--precision single is for --c: ros2_control computes in double")
@@ -87,7 +87,7 @@ def _export_plugin(
     without_robot = argparse.Namespace(**{**vars(options), "urdf": None})
     known = {**inertias_from(options, joints), **inertias}
     known |= inertias_from(without_robot, joints)
-    judged = [(each, inertia_of(each, known.get(each.joint))) for each in loops]
+    judged = [(each, judged_inertia(each, known.get(each.joint))) for each in loops]
     print(
         f"hpid: certifying {len(loops)} loops: half a minute to two minutes for each kind of loop",
         file=sys.stderr,

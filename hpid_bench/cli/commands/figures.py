@@ -70,13 +70,13 @@ def drawn_files(
     console: Console, figures: Sequence[Figure], labels: Sequence[str], formats: Sequence[str]
 ) -> Iterator[tuple[str, bytes]]:
     """Draw each figure once, and yield it in each format: the name of its file, and its bytes."""
-    from hpid_bench.report.plots import drawn, render  # slow to import
+    from hpid_bench.report.plots import drawing_bytes, drawn  # slow to import
 
     with progress(console, FIGURES, len(figures)) as advanced:
         for figure in figures:
             drawing = drawn(figure, labels)
             for form in formats:
-                yield f"{figure.name}.{form}", render(drawing, form)
+                yield f"{figure.name}.{form}", drawing_bytes(drawing, form)
             advanced(figure.name)
 
 

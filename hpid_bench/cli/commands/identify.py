@@ -23,7 +23,7 @@ from hpid_bench.tuning.identification.identification_report import (
 from hpid_bench.tuning.identification.identify import Method
 from hpid_bench.tuning.identification.robot_identification import (
     RobotIdentification,
-    base_motion,
+    base_travel,
     identify_robot,
 )
 from hpid_ros.base.errors import SettingError
@@ -75,7 +75,7 @@ def _identified(options: argparse.Namespace, robot: GivenRobot | None) -> RobotI
     if asked is not None:
         asked = NamePatterns(asked).chosen("joint", recording.joint_names, SettingError)
     recording = recording.with_slides(known.slides)
-    base = base_motion(options.bag, selection.namespace or "")
+    base = base_travel(options.bag, selection.namespace or "")
     return identify_robot(
         recording, robot, method, asked, str(options.urdf), str(options.bag), base
     )
@@ -102,10 +102,12 @@ def _contents(
         }
         contents[options.json] = json.dumps(document, indent=2) + "\n"
     if options.plot is not None:
-        from hpid_bench.report.plots import render
+        from hpid_bench.report.plots import drawing_bytes
 
         form = options.plot.suffix.lower()[1:]
-        contents[options.plot] = render(identification_figure(found.joints, found.slides), form)
+        contents[options.plot] = drawing_bytes(
+            identification_figure(found.joints, found.slides), form
+        )
     return contents
 
 

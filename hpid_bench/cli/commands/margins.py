@@ -18,7 +18,7 @@ from hpid_bench.cli.options import (
     loop_file,
     require_controller,
     shown_name,
-    sliding_joints,
+    sliding_joints_from,
     viscous_frictions,
     write_output,
 )
@@ -27,12 +27,12 @@ from hpid_bench.experiment.description import Experiment
 from hpid_bench.report.console import TextConsole
 from hpid_bench.report.figures import require_picture
 from hpid_bench.report.margins import margin_table, margins_figure
-from hpid_bench.report.plots import render
+from hpid_bench.report.plots import drawing_bytes
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.files import refuse_outputs
 from hpid_ros.base.names import NamePatterns
-from hpid_ros.control.controller_files import ParameterFile
+from hpid_ros.control.parameter_files import ParameterFile
 from hpid_ros.messages.quality import MEASURED
 from hpid_ros.messages.run import read_run
 from hpid_ros.stability.gain_check import Loop, check_gains
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     measured = _measured(options, families)
     with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as progress:
         verdicts = check_gains(judged, progress)
-    slides = sliding_joints(options, experiment)
+    slides = sliding_joints_from(options, experiment)
     reports: dict[str, LoopReport] = {}
     for name, family, verdict in zip(names, families, verdicts, strict=True):
         joint = measured.get(family.settings.joint)
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
         written[options.json] = json.dumps(document, indent=2) + "\n"
     for name, path in charts.items():
         figure = margins_figure(name, reports[name])
-        written[path] = render(figure, path.suffix.lower().removeprefix("."))
+        written[path] = drawing_bytes(figure, path.suffix.lower().removeprefix("."))
     for path, content in written.items():
         write_output(path, content)
     output_console().print(margin_table(reports))

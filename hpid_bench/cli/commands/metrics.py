@@ -22,7 +22,7 @@ from hpid_ros.base.errors import HpidError, SettingError, require_known
 from hpid_ros.base.files import refuse_outputs, write_file
 from hpid_ros.base.names import require_label
 from hpid_ros.base.resources import find_resource
-from hpid_ros.messages.selection import BagSelection, Reference, parse_command_topics
+from hpid_ros.messages.selection import BagSelection, ReferenceChoice, parse_command_topics
 from hpid_ros.metrics.alignment import RunWindow, parse_windows
 from hpid_ros.metrics.measure import (
     ALL_JOINTS,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 def bag_selection(
     options: argparse.Namespace,
     joints: Sequence[str] | None,
-    reference: Reference = "auto",
+    reference: ReferenceChoice = "auto",
     is_identified: bool = False,
 ) -> BagSelection:
     return BagSelection(
@@ -109,7 +109,7 @@ def measuring(options: argparse.Namespace) -> Measuring:
     return how if options.cutoff is None else replace(how, cutoff=options.cutoff)
 
 
-def _reference(text: str) -> Reference:
+def _reference(text: str) -> ReferenceChoice:
     """Return a kind or a topic as it is, and the trajectory of a file."""
     if Path(text).suffix not in (".yaml", ".yml") and not Path(text).is_file():
         return text

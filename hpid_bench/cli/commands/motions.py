@@ -19,14 +19,14 @@ from rich.progress import BarColumn, Progress, TextColumn
 from hpid_bench.cli.commands import DONE, FAILED, INTERRUPTED
 from hpid_bench.cli.options import inertias_from, write_output
 from hpid_bench.cli.terminal import output_console
-from hpid_bench.live.controllers import Controller, RunningGraph
+from hpid_bench.live.known_controllers import RunningController, RunningGraph
 from hpid_bench.live.motion import (
     RelayFindings,
-    Tell,
+    TellMotion,
     bounds_of,
     carry_out,
     carry_out_relay,
-    chosen,
+    chosen_controllers,
     relay_findings,
 )
 from hpid_bench.live.running_controllers import running_graph
@@ -77,15 +77,15 @@ def excite(options: argparse.Namespace) -> int:
         refuse_output(options.plot, force=options.force, inputs=(), option="--plot")
     bag = _new_bag(options.output, "excitation", "-o", is_dry=options.dry_run)
     graph = running_graph(options.states, options.namespace)
-    controllers = chosen(graph, options.joint)
+    controllers = chosen_controllers(graph, options.joint)
     planned = _plan(options, controllers)
     console = output_console()
     _show(console, planned, are_together=options.together)
     if options.plot is not None:
-        from hpid_bench.report.plots import render
+        from hpid_bench.report.plots import drawing_bytes
 
         form = options.plot.suffix.lower()[1:]
-        write_output(options.plot, render(excitation_figure(planned), form))
+        write_output(options.plot, drawing_bytes(excitation_figure(planned), form))
         console.print(f"written: {options.plot}", soft_wrap=True)
     if options.dry_run:
         return DONE
@@ -112,7 +112,7 @@ def excite(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _plan(options: argparse.Namespace, controllers: Sequence[Controller]) -> ExcitationPlan:
+def _plan(options: argparse.Namespace, controllers: Sequence[RunningController]) -> ExcitationPlan:
     names = [each.joint for each in controllers]
     pose = {each.joint: each.position for each in controllers if each.position is not None}
     inertias = inertias_from(options, names, [pose])
@@ -176,7 +176,7 @@ def _show(console: Console, planned: ExcitationPlan, *, are_together: bool) -> N
 
 
 @contextmanager
-def _progress(console: Console, planned: ExcitationPlan) -> Iterator[Tell]:
+def _progress(console: Console, planned: ExcitationPlan) -> Iterator[TellMotion]:
     columns = (
         TextColumn("{task.fields[doing]}"),
         BarColumn(bar_width=24),
@@ -227,18 +227,18 @@ def autotune(options: argparse.Namespace) -> int:
     return _propose(console, options, controller, planned, bag)
 
 
-def _controller(graph: RunningGraph, joint: str | None) -> Controller:
+def _controller(graph: RunningGraph, joint: str | None) -> RunningController:
     if joint is None and len(graph.controllers) > 1:
         known = ", ".join(graph.controllers)
         raise SettingError(f"several joints run: name one with --joint ({known})")
-    (controller,) = chosen(graph, [joint] if joint else [])
+    (controller,) = chosen_controllers(graph, [joint] if joint else [])
     if not graph.has_commands:
         raise SettingError("autotune needs efforts on joint_commands (command_interface)")
     return controller
 
 
 def _planned_relay(
-    options: argparse.Namespace, controller: Controller
+    options: argparse.Namespace, controller: RunningController
 ) -> tuple[JointBounds, PlannedRelay]:
     settings = controller.settings
     gains = settings.gains
@@ -271,7 +271,7 @@ def _show_relay(console: Console, bounds: JointBounds, planned: PlannedRelay) ->
 def _propose(
     console: Console,
     options: argparse.Namespace,
-    controller: Controller,
+    controller: RunningController,
     planned: PlannedRelay,
     bag: Path,
 ) -> int:
@@ -321,7 +321,7 @@ def _findings(found: RelayFindings) -> list[str]:
     return lines
 
 
-def _proposal(controller: Controller, tuned: Autotuned) -> list[str]:
+def _proposal(controller: RunningController, tuned: Autotuned) -> list[str]:
     before, after = controller.settings.gains, tuned.pid.gains
     proposal = tuned.upgrade
     lines = [
@@ -337,7 +337,7 @@ def _proposal(controller: Controller, tuned: Autotuned) -> list[str]:
 
 
 def _write(
-    path: Path, controller: Controller, tuned: Autotuned, found: RelayFindings, bag: Path
+    path: Path, controller: RunningController, tuned: Autotuned, found: RelayFindings, bag: Path
 ) -> None:
     """Write one section: ``ros2 param load`` sends a node those of all nodes."""
     header = [

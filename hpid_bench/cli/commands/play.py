@@ -17,7 +17,7 @@ from hpid_bench.cli.commands import DONE
 from hpid_bench.cli.options import experiment_to_run
 from hpid_bench.cli.terminal import output_console
 from hpid_bench.experiment.description import Experiment
-from hpid_bench.experiment.graph_run import COMPOSED, REFERENCE
+from hpid_bench.experiment.graph_run import COMPOSED, TRAJECTORY_PUBLISHER
 from hpid_bench.experiment.in_process import (
     bridge_document,
     bridge_name,
@@ -79,7 +79,9 @@ def _start(
     settings = experiment.controllers[label]
     controllers, bridge = write_run_files(folder, experiment, settings)
     count = len(experiment.world.joints)
-    group.start(REFERENCE, REFERENCE, parameters(reference_file=experiment.path))
+    group.start(
+        TRAJECTORY_PUBLISHER, TRAJECTORY_PUBLISHER, parameters(reference_file=experiment.path)
+    )
     group.start(
         COMPOSED,
         COMPOSED,
@@ -158,5 +160,5 @@ def _look_after(group: NodeGroup) -> None:
     raise_if_interrupted()
     for name, node in group.nodes.items():
         code = node.process.poll()
-        if code is not None and (name != REFERENCE or code):
+        if code is not None and (name != TRAJECTORY_PUBLISHER or code):
             raise RunError(f"{name} ended with code {code}: {node.last_words()}")

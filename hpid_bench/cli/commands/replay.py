@@ -10,7 +10,7 @@ from pathlib import Path
 from hpid_bench.cli.commands import DONE, FAILED
 from hpid_bench.cli.terminal import output_console, reading
 from hpid_bench.tuning.recorded_loops import read_records
-from hpid_bench.tuning.replay import Difference, JointRecord, JointVerdict, replay_joint
+from hpid_bench.tuning.replay import CommandDifference, JointVerdict, RecordedLoop, replay_joint
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.writer import repair_bag
@@ -31,7 +31,9 @@ def run(options: argparse.Namespace) -> int:
     with reading() as tell:
         for number, record in enumerate(records):
 
-            def computed(share: float, number: int = number, record: JointRecord = record) -> None:
+            def computed(
+                share: float, number: int = number, record: RecordedLoop = record
+            ) -> None:
                 tell(f"replaying {record.settings.joint}", (number + share) / len(records))
 
             verdicts.append(replay_joint(record, computed))
@@ -79,7 +81,7 @@ def _lines(verdict: JointVerdict) -> Iterator[str]:
         yield f"  assumed: {note}"
 
 
-def _difference(each: Difference, unit: str) -> str:
+def _difference(each: CommandDifference, unit: str) -> str:
     span = f"at {each.time:.3f} s"
     if each.commands > 1:
         length = (each.last_ns - each.stamp_ns) * 1e-9

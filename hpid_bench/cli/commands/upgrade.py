@@ -21,7 +21,7 @@ from hpid_bench.cli.options import (
     joint_progress,
     load_robot,
     parameter_file,
-    sliding_joints,
+    sliding_joints_from,
     warn_unlimited,
     write_output,
 )
@@ -40,14 +40,19 @@ from hpid_bench.tuning.upgrade import (
 )
 from hpid_bench.tuning.upgrade_file import upgrade_text
 from hpid_bench.tuning.upgrade_from_bag import BagUpgrade, UpgradeRequest, upgrade_from_bag
-from hpid_bench.tuning.upgrade_page import doubts, parameter_text, render, summary
+from hpid_bench.tuning.upgrade_page import (
+    doubts,
+    parameter_text,
+    render_upgrade_page,
+    upgrade_summary,
+)
 from hpid_bench.tuning.upgrade_prediction import (
     HOLDS_WITHIN,
     JUDGED,
     Held,
-    Verification,
+    PredictionVerification,
     read_prediction,
-    verify,
+    verify_prediction,
 )
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output
@@ -121,7 +126,7 @@ def _of_bag(options: argparse.Namespace) -> int:
         certifying=_certifying(errors),
     )
     warn_unlimited(robot.description, found.recording.loops)
-    prediction, contents = found.prediction, {"page": render(found, files)}
+    prediction, contents = found.prediction, {"page": render_upgrade_page(found, files)}
     if prediction.is_credible:
         contents = {"parameters": parameter_text(found), **contents}
         contents["prediction"] = prediction.as_text()
@@ -131,7 +136,7 @@ def _of_bag(options: argparse.Namespace) -> int:
     if prediction.is_credible:
         console.print(_table(found))
         console.print("")
-    console.print(summary(found), style="bold")
+    console.print(upgrade_summary(found), style="bold")
     for line in doubts(found):
         console.print(f"! {shown(line)}", style="yellow")
     console.print("")
@@ -202,7 +207,7 @@ def _verify(options: argparse.Namespace) -> int:
             f"{', '.join(others or ['--inertia'])}"
         )
     prediction = read_prediction(options.prediction or _PREDICTION)
-    found = verify(prediction, *options.verify)
+    found = verify_prediction(prediction, *options.verify)
     console = output_console()
     console.print(_verified_table(found))
     console.print("over what was recorded before; off: measured over predicted", style="dim")
@@ -213,7 +218,7 @@ def _verify(options: argparse.Namespace) -> int:
     return DONE if found.is_held else FAILED
 
 
-def _verified_table(found: Verification) -> WideTable:
+def _verified_table(found: PredictionVerification) -> WideTable:
     columns: list[TableColumn] = []
     for index in INDICES:
         rows = [row[index.key] for row in (*found.joints.values(), found.totals)]
@@ -236,7 +241,7 @@ def _off(each: Held) -> str | Text:
     return Text(f"{each.off:+.1%}", style="green" if each.is_held else "red")
 
 
-def _verdict(found: Verification) -> Text:
+def _verdict(found: PredictionVerification) -> Text:
     offs = [(index.symbol, found.totals[index.key].off) for index in JUDGED]
     text = ", ".join(
         f"{symbol} {off:+.1%}" if math.isfinite(off) else f"{symbol} unknown"
@@ -293,7 +298,7 @@ def _of_file(options: argparse.Namespace) -> int:
         f"Scales and floors from {options.bag}." if options.bag else "No recording was given.",
         "ros2 run hpid_ros joint_controllers --ros-args --params-file THIS_FILE",
     ]
-    slides = sliding_joints(options, None)
+    slides = sliding_joints_from(options, None)
     written = [proposals.get(joint, loop) for joint, loop in zip(joints, loops, strict=True)]
     write_output(options.output, upgrade_text(written, header, notes, slides))
     for joint in joints:

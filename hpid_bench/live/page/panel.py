@@ -15,7 +15,14 @@ from nicegui import ui
 from hpid_bench.live.advice import Advice
 from hpid_bench.live.page.parts import Viewer, button, chart, chart_options, curve, labelled, mark
 from hpid_bench.live.page.trial_panel import TrialPanel
-from hpid_bench.live.session import BANDWIDTH, GAINS, SLIDERS, Range, shown, slider_range
+from hpid_bench.live.session import (
+    BANDWIDTH,
+    GAINS,
+    SLIDERS,
+    SliderRange,
+    slider_range,
+    values_line,
+)
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.records import ParameterSpec
 from hpid_ros.base.rounding import significant
@@ -26,8 +33,8 @@ _EDITED_FOR = 0.7  # [s] after an input in which it is not set from elsewhere
 _STEPS = 400  # of a slider
 _TYPED_FOR = 400  # [ms] without a key, after which a number is taken
 _SLID_FOR = 0.05  # [s] between two places of a slider that is moved
-_FACTORS = Range(0.1, 10.0, is_logarithmic=True)
-_BANDWIDTHS = Range(0.2, 5.0, is_logarithmic=True)
+_FACTORS = SliderRange(0.1, 10.0, is_logarithmic=True)
+_BANDWIDTHS = SliderRange(0.2, 5.0, is_logarithmic=True)
 
 LABELS = {
     BANDWIDTH: ("ω", "bandwidth factor ω: p is multiplied by ω², i by ω³, d by ω"),
@@ -49,7 +56,7 @@ class Knob:
     def __init__(self, viewer: Viewer, name: str, edited: Callable[[], None]) -> None:
         self._viewer, self._tuning = viewer, viewer.session.tuning
         self.name, self._edited = name, edited
-        self._range = Range(0.0, 1.0, is_logarithmic=False)
+        self._range = SliderRange(0.0, 1.0, is_logarithmic=False)
         self._edited_at = -math.inf
         symbol, text = LABELS[name]
         with ui.element("div").classes("knob") as self.row:
@@ -106,7 +113,7 @@ class Knob:
         is_staged = any(self.name in tuning.staged.get(node, {}) for node in nodes)
         return float(tuning.value(nodes[0], self.name)), is_staged
 
-    def _range_of(self, node: str) -> Range:
+    def _range_of(self, node: str) -> SliderRange:
         if self._is_factor:
             return _BANDWIDTHS if self.name == BANDWIDTH else _FACTORS
         first = self._tuning.first[node]
@@ -427,7 +434,9 @@ class TuningPanel:
         self._discard.set_enabled(may and bool(staged))
         self._undo.set_enabled(may and bool(tuning.done))
         self._revert.set_enabled(may and bool(tuning.towards(tuning.starts(nodes))))
-        parts = [f"{session.label(node)}: {shown(values)}" for node, values in staged.items()]
+        parts = [
+            f"{session.label(node)}: {values_line(values)}" for node, values in staged.items()
+        ]
         self._staged.set_text(f"chosen, not sent: {'; '.join(parts)}" if parts else "")
 
 

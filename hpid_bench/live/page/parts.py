@@ -13,7 +13,7 @@ from hpid_bench.live.session import LiveSession
 from hpid_bench.live.trials import Trials
 from hpid_ros.base.errors import HpidError
 
-INK = "#7d8791"
+CHART_INK = "#7d8791"
 COLOURS = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d31", "#7570b3"),
 )
@@ -102,12 +102,12 @@ def chart_options(
 ) -> dict[str, Any]:
     """Return what ECharts draws: curves over time in [s]."""
     soft = {"lineStyle": {"color": "#80808050"}}
-    axis = {"type": "value", "axisLabel": {"color": INK}, "splitLine": soft}
+    axis = {"type": "value", "axisLabel": {"color": CHART_INK}, "splitLine": soft}
     return {
         "animation": False,
-        "legend": {"top": 0, "left": 0, "textStyle": {"color": INK}, **legend},
+        "legend": {"top": 0, "left": 0, "textStyle": {"color": CHART_INK}, **legend},
         "grid": {"left": 52, "right": 24, "top": top, "bottom": 24},
-        "xAxis": {**axis, "max": end, "axisLabel": {"color": INK, "formatter": "{value} s"}},
+        "xAxis": {**axis, "max": end, "axisLabel": {"color": CHART_INK, "formatter": "{value} s"}},
         "yAxis": {**axis, "scale": True, "splitNumber": 3},
         "series": list(series),
     }

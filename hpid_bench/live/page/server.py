@@ -41,10 +41,10 @@ from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.utils import get_remote_addr
 
 from hpid_bench.live.advice import AdviceClient
-from hpid_bench.live.controllers import Change
+from hpid_bench.live.known_controllers import Change
 from hpid_bench.live.motion import HELD_WITHIN
 from hpid_bench.live.page.view import PageView
-from hpid_bench.live.session import LiveSession, shown
+from hpid_bench.live.session import LiveSession, values_line
 from hpid_bench.live.trials import Trials
 from hpid_ros.base.errors import SettingError
 
@@ -406,7 +406,7 @@ class Frames:
         now = {node: self._session.history(node).now for node in curves}
         usable = {node: at for node, at in now.items() if at > float("-inf")}
         marks = [
-            {"node": each.node, "time": each.time, "text": shown(each.values)}
+            {"node": each.node, "time": each.time, "text": values_line(each.values)}
             for each in changes
             if math.isfinite(each.time)
         ]

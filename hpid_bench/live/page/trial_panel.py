@@ -21,7 +21,7 @@ from hpid_bench.live.page.parts import (
     table,
 )
 from hpid_bench.live.session import name_shown
-from hpid_bench.live.trials import KINDS, MotionWish, Stage, TrialResult, Variant
+from hpid_bench.live.trials import MOTION_KINDS, MotionWish, TrialResult, TrialStage, Variant
 from hpid_ros.base.errors import HpidError
 from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import PAPER
@@ -40,7 +40,7 @@ class TrialPanel:
         self._shown: TrialResult | None = None
         self._planned_of: object = None
         ui.label("Test motion of the joints that are chosen").classes("heading")
-        self._kind = ui.select(KINDS, value="minimum_jerk").props(
+        self._kind = ui.select(MOTION_KINDS, value="minimum_jerk").props(
             'dense outlined options-dense aria-label="kind of motion"'
         )
         self._kind.classes("wide")
@@ -81,17 +81,17 @@ class TrialPanel:
 
     def refresh(self) -> None:
         stage, may = self._trials.stage, self._viewer.may_edit
-        is_idle = stage is Stage.IDLE
+        is_idle = stage is TrialStage.IDLE
         self._offer()
         can_move = self._refresh_plan() if is_idle else True
         self._prepare.set_enabled(may and is_idle and can_move)
         # Before it is green it takes a press, too, so that one that is too early has an answer.
-        is_ready = stage in (Stage.READY, Stage.MOVING)
-        self._hold.set_enabled(may and stage not in (Stage.IDLE, Stage.ENDING))
+        is_ready = stage in (TrialStage.READY, TrialStage.MOVING)
+        self._hold.set_enabled(may and stage not in (TrialStage.IDLE, TrialStage.ENDING))
         self._hold.props("color=positive" if is_ready else "color=grey")
         self._hold.props("aria-disabled=false" if is_ready else "aria-disabled=true")
         self._hold.set_text(self._hold_text())
-        self._cancel.set_enabled(not is_idle and stage is not Stage.ENDING)
+        self._cancel.set_enabled(not is_idle and stage is not TrialStage.ENDING)
         away = self._trials.away(self._viewer.chosen()) if is_idle else ""
         self._offer_back.set_visibility(bool(away))
         self._away.set_text(away)
@@ -104,9 +104,9 @@ class TrialPanel:
 
     def _hold_text(self) -> str:
         trials = self._trials
-        if trials.stage is Stage.IDLE:
+        if trials.stage is TrialStage.IDLE:
             return "Hold to run"
-        if trials.stage is Stage.ENDING:
+        if trials.stage is TrialStage.ENDING:
             return "Ending"
         which = f"({trials.number} of {trials.count})" if trials.count else "(back)"
         left = trials.seconds_left
@@ -207,7 +207,7 @@ class TrialPanel:
                     ui.label(f"hpid metrics {run.path} {window}").classes("command")
 
     async def _keep(self, variant: Variant) -> None:
-        if self._trials.stage is Stage.IDLE:
+        if self._trials.stage is TrialStage.IDLE:
             await self._trials.keep(variant)
 
 

@@ -11,12 +11,12 @@ from functools import partial
 
 from nicegui import ui
 
-from hpid_bench.live.controllers import SILENT_AFTER, Controller
 from hpid_bench.live.history import JointHistory, RisingCount
+from hpid_bench.live.known_controllers import SILENT_AFTER, RunningController
 from hpid_bench.live.page.panel import TuningPanel
 from hpid_bench.live.page.parts import COLOURS, Viewer, button, labelled, mark, table
 from hpid_bench.live.session import LiveSession
-from hpid_bench.live.trials import Stage, Trials
+from hpid_bench.live.trials import Trials, TrialStage
 
 _MISSED_LATELY = 10.0  # [s]
 _COLUMNS = ("", "joint", "state", "mean |e|", "largest |e|", "IVC/s", "rms u", "missed", "")
@@ -141,7 +141,7 @@ class _Row:
         await self._session.transit([self._node], transition)
 
 
-def _state(seen: Controller, history: JointHistory) -> tuple[str, str, str]:
+def _state(seen: RunningController, history: JointHistory) -> tuple[str, str, str]:
     """Return a controller's state in a word or two, how bad that is, and more about it."""
     health, lifecycle = seen.health, seen.lifecycle
     if not seen.is_here:
@@ -301,7 +301,7 @@ class PageView:
         self._panel.refresh()
 
     def _refresh_in_time(self) -> None:
-        is_moving = self._trials.stage is Stage.MOVING
+        is_moving = self._trials.stage is TrialStage.MOVING
         if not is_moving or time.monotonic() - self._refreshed_at >= _HELD_REFRESH_PERIOD:
             self._refresh()
 

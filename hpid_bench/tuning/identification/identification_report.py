@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from rich.text import Text
 
-from hpid_bench.report.figures import INK, REFERENCE, RUN_STYLES
+from hpid_bench.report.figures import INK, REFERENCE_COLOR, RUN_STYLES
 from hpid_bench.report.plots import (
     DOTS_PER_INCH,
     WIDTH_IN,
@@ -29,11 +29,11 @@ from hpid_bench.tuning.identification.regression import (
     COULOMB,
     DELAY,
     EFFORT_SCALE,
+    ESTIMATED_PARAMETERS,
     GRAVITY_COS,
     GRAVITY_SIN,
     INERTIA,
     OFFSET,
-    PARAMETERS,
     STRIBECK,
     VISCOUS,
     Estimate,
@@ -123,7 +123,7 @@ def _inertia(
 
 
 def unit(name: str, is_slide: bool) -> str:
-    return PARAMETERS[name][int(is_slide)]
+    return ESTIMATED_PARAMETERS[name][int(is_slide)]
 
 
 def interval(estimate: Estimate, of: str) -> str:
@@ -196,7 +196,7 @@ def _draw_planned(
 _ROW_HEIGHT_IN = 2.0
 _BARE_HEIGHT_IN = 0.5
 _SHARES = (2.3, 1.0)
-_MEASURED, _PREDICTED, _RESIDUAL = REFERENCE, RUN_STYLES[0].color, RUN_STYLES[1].color
+_MEASURED, _PREDICTED, _RESIDUAL = REFERENCE_COLOR, RUN_STYLES[0].color, RUN_STYLES[1].color
 _LINE_LENGTH = 52  # characters of a reason
 
 

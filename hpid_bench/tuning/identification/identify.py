@@ -32,7 +32,7 @@ from hpid_bench.tuning.identification.regression import INERTIA, Equation, Rigid
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.units import Numbers
 
-Spin = Callable[[Numbers, Numbers, Numbers, Numbers], Numbers]
+SpinEfforts = Callable[[Numbers, Numbers, Numbers, Numbers], Numbers]
 """Efforts that rotors need besides their reflected inertia, because they spin on links that move,
 (K, R), in [N m]: for the same motion, and the reflected inertias of K rotors, (K,)."""
 
@@ -60,7 +60,7 @@ def identify(
     rigid_body: RigidBody | None = None,
     method: Method | None = None,
     wanted: Sequence[str] | None = None,
-    spin: Spin | None = None,
+    spin: SpinEfforts | None = None,
 ) -> tuple[JointIdentification, ...]:
     """Identify joints.
 
@@ -103,7 +103,7 @@ def _identify_together(
     places: Sequence[int],
     rigid_body: RigidBody,
     method: Method,
-    spin: Spin | None,
+    spin: SpinEfforts | None,
 ) -> tuple[JointIdentification, ...]:
     most = _largest_travel(records)
     equations: dict[int, Equation] = {}
@@ -148,7 +148,7 @@ def _rotor_inertias(
 
 
 def _with_spinning_rotors(
-    spin: Spin, rotors: Numbers, equations: Mapping[int, Equation]
+    spin: SpinEfforts, rotors: Numbers, equations: Mapping[int, Equation]
 ) -> dict[int, Equation]:
     """Return the equations of joints at which rotors pull, with the effort that these need."""
     if not rotors.any():

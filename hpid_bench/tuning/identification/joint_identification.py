@@ -18,11 +18,11 @@ from hpid_bench.tuning.identification.regression import (
     COULOMB,
     DELAY,
     EFFORT_SCALE,
+    ESTIMATED_PARAMETERS,
     GRAVITY_COS,
     GRAVITY_SIN,
     INERTIA,
     OFFSET,
-    PARAMETERS,
     SPIN,
     SPRING,
     STRIBECK,
@@ -250,7 +250,7 @@ def _missing_terms(equation: Equation, solution: Solution, travel: float) -> dic
 
 
 def _estimates(equation: Equation, solution: Solution) -> dict[str, Estimate]:
-    """Return the estimates of all parameters, in the order of ``PARAMETERS``."""
+    """Return the estimates of all parameters, in the order of ``ESTIMATED_PARAMETERS``."""
     found = {
         name: _estimate(equation, solution, name)
         for name in solution.model.names
@@ -266,7 +266,7 @@ def _estimates(equation: Equation, solution: Solution) -> dict[str, Estimate]:
                 for name, each in found.items()
                 if name != DELAY
             }
-    return {name: found[name] for name in PARAMETERS if name in found}
+    return {name: found[name] for name in ESTIMATED_PARAMETERS if name in found}
 
 
 def _estimate(equation: Equation, solution: Solution, name: str) -> Estimate:

@@ -232,7 +232,7 @@ _SLOW_SHARE = 0.2  # of its root mean square
 _PADDING = 40  # rows between two spans, as if nothing had been recorded there
 
 
-class Grid(NamedTuple):
+class SmoothingGrid(NamedTuple):
     """Cells of one length and the rows among them."""
 
     first: float  # [s] middle of the first cell
@@ -243,7 +243,7 @@ class Grid(NamedTuple):
     reach: int  # cells to either side of a row that have weight
 
     @classmethod
-    def over(cls, cells: Halves, kernel: Kernel, margin: float) -> Grid | None:
+    def over(cls, cells: Halves, kernel: Kernel, margin: float) -> SmoothingGrid | None:
         """Return the rows whose columns are known; None where there is no room for any."""
         length = cells.length
         reach = math.floor(kernel.half_width / length + _ROUNDING)
@@ -293,12 +293,12 @@ class Rows:
     ) -> None:
         self.record, self.place = records[place], place
         self.kernel, self.longest_delay = kernel, longest_delay
-        self._spans: list[tuple[Grid, list[Halves]]] = []
+        self._spans: list[tuple[SmoothingGrid, list[Halves]]] = []
         for span in spans(records, self.record):
             parts = [halves(each, span, self.record.period) for each in records]
             cells = [each for each in parts if each is not None]
             if len(cells) == len(parts):
-                grid = Grid.over(cells[0], kernel, longest_delay)
+                grid = SmoothingGrid.over(cells[0], kernel, longest_delay)
                 if grid is not None:
                     self._spans.append((grid, cells))
         self.count = sum(grid.rows for grid, _ in self._spans)
@@ -342,7 +342,7 @@ class Rows:
         return _joined(parts)
 
     @cached_property
-    def _velocities(self) -> list[tuple[Grid, Halves, Numbers, NDArray[np.bool_]]]:
+    def _velocities(self) -> list[tuple[SmoothingGrid, Halves, Numbers, NDArray[np.bool_]]]:
         """Of each span the joint's velocity at every cell, and where its direction is in doubt."""
         found = []
         for grid, cells in self._spans:
@@ -374,7 +374,7 @@ class Rows:
         return _joined([self._answers(*each) for each in self._velocities])
 
     def _answers(
-        self, grid: Grid, own: Halves, velocity: Numbers, is_slow: NDArray[np.bool_]
+        self, grid: SmoothingGrid, own: Halves, velocity: Numbers, is_slow: NDArray[np.bool_]
     ) -> Numbers:
         if not len(own.reference):
             return np.empty((0, grid.rows))

@@ -49,7 +49,7 @@ SPRING = "spring"
 SPIN = "spin"
 """The coefficient of the effort that rotors need besides their inertia. No parameter."""
 
-PARAMETERS: Mapping[str, tuple[str, str]] = {
+ESTIMATED_PARAMETERS: Mapping[str, tuple[str, str]] = {
     INERTIA: ("kg m^2", "kg"),
     VISCOUS: ("N m s/rad", "N s/m"),
     COULOMB: ("N m", "N"),

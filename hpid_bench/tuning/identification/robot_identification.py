@@ -33,7 +33,7 @@ _STILL = 1e-3  # [m] and [rad]
 _WHEEL = "wheel"
 
 
-class BaseMotion(NamedTuple):
+class BaseTravel(NamedTuple):
     """How far a base moved while it was recorded."""
 
     way: float  # [m] between its ends
@@ -47,7 +47,7 @@ class BaseMotion(NamedTuple):
         return f"{self.way:.2g} m and {self.turn:.2g} rad by its odometry"
 
 
-def base_motion(bag: Path, namespace: str = "") -> BaseMotion | None:
+def base_travel(bag: Path, namespace: str = "") -> BaseTravel | None:
     """Return how far a base moved by all odometry that a bag has; None if it has none."""
     found = []
     topics = [name for name in odometry_topics(bag) if is_below(name, f"/{namespace.strip('/')}")]
@@ -57,10 +57,10 @@ def base_motion(bag: Path, namespace: str = "") -> BaseMotion | None:
     if not found:
         return None
     ways = [float(np.hypot(*np.ptp(poses[:, :2], axis=0))) for poses in found]
-    return BaseMotion(max(ways), max(float(np.ptp(poses[:, 2])) for poses in found))
+    return BaseTravel(max(ways), max(float(np.ptp(poses[:, 2])) for poses in found))
 
 
-def is_wheel(joint: str, robot: GivenRobot | None, motion: BaseMotion | None) -> bool:
+def is_wheel(joint: str, robot: GivenRobot | None, motion: BaseTravel | None) -> bool:
     """Return whether a joint is a wheel of the base: the robot says so, or its name does."""
     is_fixed = robot is not None and robot.fixed_base and not (motion and motion.is_moving)
     if robot is not None and (robot.wheels or is_fixed):
@@ -68,7 +68,7 @@ def is_wheel(joint: str, robot: GivenRobot | None, motion: BaseMotion | None) ->
     return _WHEEL in joint.lower()
 
 
-def why_not_wheel(motion: BaseMotion | None, *, is_asked_for: bool) -> str:
+def why_not_wheel(motion: BaseTravel | None, *, is_asked_for: bool) -> str:
     """Return why a wheel's numbers would be none of its own; nothing if they are."""
     if motion is None:
         if is_asked_for:
@@ -85,7 +85,7 @@ def why_not_wheel(motion: BaseMotion | None, *, is_asked_for: bool) -> str:
     )
 
 
-def remark_on_base(motion: BaseMotion) -> str:
+def remark_on_base(motion: BaseTravel) -> str:
     """Return what must be known of joints that a base carries that moved."""
     return (
         f"the base moved ({motion}), but the links are known on a base that stands still: what "
@@ -131,7 +131,7 @@ def identify_robot(
     asked: Sequence[str] | None = None,
     robot_name: str = "the robot",
     bag_name: str = "the recording",
-    base: BaseMotion | None = None,
+    base: BaseTravel | None = None,
 ) -> RobotIdentification:
     for joint in asked or ():
         if joint not in recording.joint_names:
@@ -308,7 +308,7 @@ def _with_losses(
 def _wheels(
     records: Sequence[JointRecord],
     robot: GivenRobot | None,
-    base: BaseMotion | None,
+    base: BaseTravel | None,
     asked: Sequence[str] | None,
 ) -> dict[str, JointIdentification]:
     """Return the wheels under a robot that rolls, each with why nothing is said of it."""

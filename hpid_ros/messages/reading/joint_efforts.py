@@ -13,7 +13,7 @@ from hpid_ros.messages.reading.recorded_run import RecordedRun
 from hpid_ros.messages.reading.states_clock import StatesClock
 from hpid_ros.messages.selection import BagSelection
 
-NOTHING = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
+NO_EFFORTS = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
 
 
 class JointEfforts:
@@ -118,4 +118,4 @@ class JointEfforts:
                 break
             found = ordered(self._clock.times(samples), samples.values, not_finite)
             return found, self._clock.name, f"{MEASURED}, of {topic}"
-        return NOTHING, self._clock.name, ""
+        return NO_EFFORTS, self._clock.name, ""

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hpid_ros.base.units import NANOSECONDS, Numbers
-from hpid_ros.messages.columns import LARGEST, Integers, Ordered, finite, ordered
+from hpid_ros.messages.columns import LARGEST_NUMBER, Integers, Ordered, finite, ordered
 from hpid_ros.messages.quality import NONE, DataQuality
-from hpid_ros.messages.reading.joint_efforts import NOTHING, JointEfforts
+from hpid_ros.messages.reading.joint_efforts import NO_EFFORTS, JointEfforts
 from hpid_ros.messages.reading.joint_reference import JointReference
 from hpid_ros.messages.reading.recorded_run import RecordedRun
 from hpid_ros.messages.reading.references import Flags, ReferenceCandidate
@@ -66,8 +66,8 @@ class JointRun:
         samples, not_finite = finite(stamped)
         if not len(samples.values):
             raise NoNumberError(
-                f"joint {joint!r}: position must be finite and below {LARGEST:g}, but no state's "
-                "is"
+                f"joint {joint!r}: position must be finite and below {LARGEST_NUMBER:g}, but no "
+                "state's is"
             )
         self._aside: tuple[Spill, Kept, Kept] | None = None
         self._clock = clock = StatesClock(recording, selection, self._topic, samples)
@@ -90,8 +90,8 @@ class JointRun:
         samples, states = self._clock.states.values, self.states.values
         kept = spill.keep(samples)
         self._aside = spill, kept, kept if states is samples else spill.keep(states)
-        self._clock.states = self._clock.states._replace(values=NOTHING.values)
-        self.states = self.states._replace(values=NOTHING.values)
+        self._clock.states = self._clock.states._replace(values=NO_EFFORTS.values)
+        self.states = self.states._replace(values=NO_EFFORTS.values)
 
     def _take_up(self) -> None:
         if self._aside is not None:

@@ -64,7 +64,7 @@ from hpid_ros.nodes.core.parameters import (
     ParameterSources,
     as_declared,
     declared_names,
-    require_known,
+    require_known_parameters,
 )
 from hpid_ros.nodes.core.process import end, end_in_time, end_with_the_launch, warn_if_unprotected
 from hpid_ros.nodes.core.rclpy_internals import LineLogger, given_parameters
@@ -563,7 +563,7 @@ def _run_in_context(
         ClosingNode.sources = ParameterSources(command_line)
         with optional_libraries():
             nodes = make_nodes()
-        require_known(
+        require_known_parameters(
             [
                 (each.get_name(), set(given_parameters(each)), declared_names(each))
                 for each in nodes

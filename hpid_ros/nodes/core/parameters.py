@@ -26,7 +26,13 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.names import ANYWHERE, is_for, node_sections
-from hpid_ros.base.records import AnyRecord, ParameterSpec, from_parameters, parameters_of, shown
+from hpid_ros.base.records import (
+    AnyRecord,
+    ParameterSpec,
+    from_parameters,
+    parameters_of,
+    short_repr,
+)
 from hpid_ros.base.units import of_slide
 
 _Type = Parameter.Type
@@ -129,7 +135,7 @@ def as_declared(given: Parameter, kind: Parameter.Type) -> Parameter:
     hint = _quoting(given) if kind in (_Type.STRING, _Type.STRING_ARRAY) else ""
     raise SettingError(
         f"{given.name} must be {_WORDS[kind]}, "
-        f"not {_WORDS[given.type_]} ({shown(given.value)}){hint}"
+        f"not {_WORDS[given.type_]} ({short_repr(given.value)}){hint}"
     )
 
 
@@ -163,7 +169,9 @@ def _number(given: Parameter, kind: Parameter.Type) -> float | list[float] | Non
     return None
 
 
-def require_known(nodes: Sequence[tuple[str, Collection[str], Collection[str]]]) -> None:
+def require_known_parameters(
+    nodes: Sequence[tuple[str, Collection[str], Collection[str]]],
+) -> None:
     """Refuse parameters that were given to nodes of which none has them.
 
     rclpy ignores them silently, and a mistyped gain would be a gain of zero. What is given on

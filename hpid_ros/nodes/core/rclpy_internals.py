@@ -39,7 +39,7 @@ class LineLogger(rcutils_logger.RcutilsLogger):
         return bool(super().log(shown(str(message)), severity, **filters))
 
 
-KNOWN_VERSIONS = "7.1 (ROS 2 Jazzy)"
+KNOWN_RCLPY = "7.1 (ROS 2 Jazzy)"
 
 ServiceCallback = Callable[[Any, Any], Any]
 
@@ -144,5 +144,5 @@ def _private(owner: object, name: str, purpose: str) -> Any:
     except AttributeError:
         raise SettingError(
             f"cannot reach {purpose} with this rclpy: its {type(owner).__name__} has no {name}; "
-            f"known to work is {KNOWN_VERSIONS}"
+            f"known to work is {KNOWN_RCLPY}"
         ) from None

@@ -99,7 +99,7 @@ def unseen(joints: Sequence[str], seen: Iterable[str]) -> str:
     return f"{line}; did you mean {listed_names(hints, _NAMES)}?" if hints else line
 
 
-def misfit(offered: QoSProfile, asked: QoSProfile, *, by_this_node: bool) -> str:
+def qos_misfit(offered: QoSProfile, asked: QoSProfile, *, by_this_node: bool) -> str:
     """Return in words why a publisher sends a subscription nothing; empty if it does.
 
     Args:
@@ -165,7 +165,7 @@ def topic_view(
         against = ""
         if profile is not None:
             pair = (info.qos_profile, profile) if is_publisher else (profile, info.qos_profile)
-            against = misfit(*pair, by_this_node=not is_publisher)
+            against = qos_misfit(*pair, by_this_node=not is_publisher)
         name = "a node without a name yet" if info.node_name == UNNAMED else name
         ends.append(Endpoint(name, info.topic_type, against))
     wanted = "" if kind is None else type_name(kind)

@@ -605,7 +605,7 @@ def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
     }
 
 
-RECORDS: tuple[type[Record], ...] = (
+BRIDGE_RECORDS: tuple[type[Record], ...] = (
     *(WorldFileParameters, WorldParameters, PaceParameters, WaitingParameters, RecordParameters),
     *(ReportParameters, FrameParameters, WrenchParameters, Scheduling, StatusParameters),
 )
@@ -623,7 +623,7 @@ def usage(name: str, engine: str) -> Usage:
         name,
         f"Simulates a robot in {engine} behind the topics of a real one.",
         "-p world_file:=FILE",
-        [*OVER_THE_FILE, *names_of(*RECORDS)],
+        [*OVER_THE_FILE, *names_of(*BRIDGE_RECORDS)],
         ["joint_commands", "~/wrench"],
         [
             *("joint_states", "clock", "odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),

@@ -25,7 +25,7 @@ from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 from hpid_ros.nodes.core.parameters import read
 from hpid_ros.nodes.core.status import log_change
 from hpid_ros.simulation.gripper import GRASPED, LOST, MISSED, GripEvent
-from hpid_ros.simulation.reports import CLOCK, KINDS, REPORT_RATE, Reports, grip_words
+from hpid_ros.simulation.reports import CLOCK_TOPIC, REPORT_KINDS, REPORT_RATE, Reports, grip_words
 from hpid_ros.simulation.world import World
 
 
@@ -271,7 +271,7 @@ class BridgeReports:
         )
         self._publishers = {
             topic: node.create_publisher(
-                _MESSAGES[KINDS[topic]], topic, RARE if topic == CLOCK else OFFERED
+                _MESSAGES[REPORT_KINDS[topic]], topic, RARE if topic == CLOCK_TOPIC else OFFERED
             )
             for topic in self._reports.topics
         }
@@ -288,7 +288,7 @@ class BridgeReports:
         return {
             self._publishers[topic].topic_name: count
             for topic, count in self._reports.counts.items()
-            if topic != CLOCK
+            if topic != CLOCK_TOPIC
         }
 
     def sample(self, stamp_ns: int, positions: Sequence[float]) -> None:

@@ -190,17 +190,16 @@ _STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win
 class ClaimParameters(Record):
     """What a controller has for itself alone."""
 
-    scope: Literal["joint", "none"] = quantity(
+    claim: Literal["joint", "none"] = quantity(
         "joint: one active controller per joint; none: several may command one joint, which only "
         "the bridge reports",
         default="joint",
-        key="claim",
     )
 
 
 def claims_joint(node: Node) -> bool:
     """Declare the parameter ``claim`` and tell whether it asks for a joint of the node's own."""
-    return read(node, ClaimParameters).scope == "joint"
+    return read(node, ClaimParameters).claim == "joint"
 
 
 class JointClaim:

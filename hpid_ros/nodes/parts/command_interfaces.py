@@ -43,14 +43,14 @@ class CommandInterface(NamedTuple):
     scale: Callable[[Node, str], float] = _same
 
 
-JOINT_STATE = "joint_state"
+JOINT_STATE_INTERFACE = "joint_state"
 ARRAY = "float64_multi_array"
 """The interface of ros2_control's group controllers."""
 
 COMMAND_INTERFACES: Mapping[str, CommandInterface] = {
     # Stamped with the state that is answered: the convention of Isaac Sim and of
     # topic_based_ros2_control. Efforts have no frame: in its place stands who sends them.
-    JOINT_STATE: CommandInterface(
+    JOINT_STATE_INTERFACE: CommandInterface(
         "sensor_msgs/msg/JointState",
         lambda names, sender: JointStateTemplate(names, sender, effort=True),
         controller_topic=COMMANDS,
@@ -90,5 +90,5 @@ def message_type(name: str) -> Any:
     except ImportError as error:
         raise SettingError(
             f"command_interface {name} needs the package {package}, which is not there "
-            f"({error}); {ARRAY} and {JOINT_STATE} need nothing more"
+            f"({error}); {ARRAY} and {JOINT_STATE_INTERFACE} need nothing more"
         ) from None

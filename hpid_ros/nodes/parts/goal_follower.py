@@ -37,10 +37,10 @@ from hpid_ros.nodes.parts.goals import (
     Braking,
     GoalError,
     GoalRequest,
+    GoalResult,
     GroupSettings,
     GroupTrajectory,
     JointFacts,
-    Result,
     ResultCode,
     Tolerance,
     Tolerances,
@@ -181,14 +181,14 @@ _SETTLES_WITHIN = 0.5  # [s] after takeover_time, for a controller to follow wha
 _WALL_GAP, _SIMULATED_GAP = 1.5, 10.0  # [s] that lost states explain, more in a fast simulation
 _CROSSES_WITHIN_NS = NANOSECONDS // 10  # for messages of two senders to arrive in either order
 
-CANCELLED = Result(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")
+CANCELLED = GoalResult(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")
 """The result of a goal that its client has cancelled; the code is JTC's."""
 
 
 class Outcome(NamedTuple):
     """What follows from something that happened."""
 
-    result: Result | None  # how the goal that was active has ended
+    result: GoalResult | None  # how the goal that was active has ended
     trajectory: GroupTrajectory | None  # what is to be published to the controllers now
 
 
@@ -290,7 +290,7 @@ class GoalFollower:
             joint.compare(joint.peek(now_ns))
             joint.has_ended, joint.outside_since_ns, joint.plan = False, None, plan
         self._active = _ActiveGoal(now_ns, trajectory.stamp_ns, trajectory.end_ns, tolerances)
-        replaced = Result(ResultCode.INVALID_GOAL, "replaced by a new goal")
+        replaced = GoalResult(ResultCode.INVALID_GOAL, "replaced by a new goal")
         return Outcome(replaced if is_replaced else None, trajectory)
 
     def cancel(self) -> Outcome:
@@ -351,7 +351,7 @@ class GoalFollower:
         self._hold_later()
         line = f"there was no new state for {silence:.3g} s"
         line = f"{line}: {self.standstill}" if self.standstill else line
-        return Outcome(Result(ResultCode.INVALID_GOAL, line), None)
+        return Outcome(GoalResult(ResultCode.INVALID_GOAL, line), None)
 
     def allow_late(self, stood: float) -> None:
         """Note that this process stood still: what came meanwhile comes late, and not in order.
@@ -390,7 +390,7 @@ class GoalFollower:
             self._hold_later()
             held = self._hold()
             trajectory = None if held is None else held.trajectory
-            return Outcome(Result(ResultCode.INVALID_GOAL, line), trajectory)
+            return Outcome(GoalResult(ResultCode.INVALID_GOAL, line), trajectory)
         if self._late_by:
             self._late_until_ns = stamp_ns + round(self._late_by * NANOSECONDS)
             self._late_by = 0.0
@@ -437,7 +437,7 @@ class GoalFollower:
             return None
         self._active = None
         self._hold_later()
-        return Outcome(Result(ResultCode.INVALID_GOAL, self.conflict), None)
+        return Outcome(GoalResult(ResultCode.INVALID_GOAL, self.conflict), None)
 
     def take_reference(self, at: int, stamp_ns: int, position: float) -> Outcome | None:
         """Take a reference that a controller has published."""
@@ -540,7 +540,7 @@ class GoalFollower:
             # Whoever has fallen behind may see the end before it sees that a controller is gone.
             if not violated and not overdue.reason:
                 self._active = None
-                return Outcome(Result(ResultCode.SUCCESSFUL, "goal reached"), None)
+                return Outcome(GoalResult(ResultCode.SUCCESSFUL, "goal reached"), None)
             if violated and active.is_late(self._now()):
                 return self._violate(ResultCode.GOAL_TOLERANCE_VIOLATED, active, violated)
         if stamp_ns < self._late_until_ns + overdue.timeout_ns:
@@ -574,7 +574,7 @@ class GoalFollower:
         since = (self._now() - active.start_ns) / NANOSECONDS
         whole = (active.end_ns - active.start_ns) / NANOSECONDS
         line = f"{'; '.join(violated.values())}; at {since:.3g} s of {whole:.3g} s"
-        return self._end(Result(code, line), violated)
+        return self._end(GoalResult(code, line), violated)
 
     def _watch(self, joint: _Joint, stamp_ns: int, position: float, off: float) -> Outcome | None:
         """Abort if a controller follows something else for longer than a glide takes."""
@@ -608,7 +608,7 @@ class GoalFollower:
             return outcome
         line = f"the clock of the states went back by {back:.3g} s"
         trajectory = outcome.trajectory if outcome is not None else None
-        return Outcome(Result(ResultCode.INVALID_GOAL, line), trajectory)
+        return Outcome(GoalResult(ResultCode.INVALID_GOAL, line), trajectory)
 
     def _hold_later(self) -> None:
         """Have all joints stopped where they are found, as that is not known now."""
@@ -658,10 +658,10 @@ class GoalFollower:
         return position
 
     def _abort(self, line: str, left_alone: Collection[int] = ()) -> Outcome:
-        return self._end(Result(ResultCode.INVALID_GOAL, line), left_alone=left_alone)
+        return self._end(GoalResult(ResultCode.INVALID_GOAL, line), left_alone=left_alone)
 
     def _end(
-        self, result: Result, blocked: Collection[int] = (), left_alone: Collection[int] = ()
+        self, result: GoalResult, blocked: Collection[int] = (), left_alone: Collection[int] = ()
     ) -> Outcome:
         """End the active goal and stop all joints but some; those that are blocked are held."""
         if self._active is None:

@@ -35,7 +35,7 @@ from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import UNNAMED, full_name, steady_timer
 from hpid_ros.nodes.core.services import Answers
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, Feedback
-from hpid_ros.nodes.parts.goals import GoalError, GoalRequest, Result, ResultCode
+from hpid_ros.nodes.parts.goals import GoalError, GoalRequest, GoalResult, ResultCode
 
 Sent = Callable[[Callable[[], None]], AbstractContextManager[None]]
 
@@ -108,8 +108,8 @@ _RECEIVED_WITHIN = 0.25  # [s] for the last results: answers of services are not
 _POINT, _TOLERANCE, _NAME, _NUMBER = 340, 340, 64, 8  # bytes that each costs, a third in Python
 _GOALS_AT_ONCE = 1000
 
-_REPLACED = Result(ResultCode.INVALID_GOAL, "replaced by a new goal before it began")
-_ENDED = Result(ResultCode.INVALID_GOAL, "the node ends")
+_REPLACED = GoalResult(ResultCode.INVALID_GOAL, "replaced by a new goal before it began")
+_ENDED = GoalResult(ResultCode.INVALID_GOAL, "the node ends")
 _ARRAYS = ("positions", "velocities", "accelerations", "effort")
 
 
@@ -188,7 +188,7 @@ class GoalServer:
         node: ClosingNode,
         begin: Callable[[GoalRequest], None],
         cancel: Callable[[], None],
-        note: Callable[[Result], None],
+        note: Callable[[GoalResult], None],
     ) -> None:
         self._type = action_type()
         self._node, self._begin, self._cancel, self._note = node, begin, cancel, note
@@ -232,7 +232,7 @@ class GoalServer:
             message = fill_feedback(self._type.Feedback(), names, feedback)
             self._active.publish_feedback(message)
 
-    def end(self, result: Result) -> None:
+    def end(self, result: GoalResult) -> None:
         handle, self._active = self._active, None
         if handle is not None:
             self._finish(handle, result)
@@ -308,18 +308,18 @@ class GoalServer:
             self._cancel()
         return CancelResponse.ACCEPT
 
-    def _replace_waiting(self, result: Result) -> None:
+    def _replace_waiting(self, result: GoalResult) -> None:
         handle, self._waiting = self._waiting, None
         if handle is not None:
             self._finish(handle, result)
 
-    def _finish(self, handle: ServerGoalHandle, result: Result) -> None:
+    def _finish(self, handle: ServerGoalHandle, result: GoalResult) -> None:
         self._ending += 1
         forget_request(handle)
         self._note(result)
         self._server.notify_execute(handle, partial(self._conclude, result))
 
-    def _conclude(self, result: Result, handle: ServerGoalHandle) -> Any:
+    def _conclude(self, result: GoalResult, handle: ServerGoalHandle) -> Any:
         """Put a goal into its last state and return its result, as rclpy wants it."""
         try:
             if result is CANCELLED and handle.is_cancel_requested:

@@ -53,7 +53,7 @@ class ResultCode(IntEnum):
     GOAL_TOLERANCE_VIOLATED = -5
 
 
-class Result(NamedTuple):
+class GoalResult(NamedTuple):
     """How a goal ended."""
 
     code: ResultCode  # what a program looks at
@@ -68,8 +68,8 @@ class GoalError(TrajectoryError):
         self.code = code
 
     @property
-    def result(self) -> Result:
-        return Result(self.code, str(self))
+    def result(self) -> GoalResult:
+        return GoalResult(self.code, str(self))
 
 
 _EPSILON = 1.2e-7  # of float32: what is called -1 may have been rounded on the way
@@ -148,13 +148,12 @@ def _resolved(default: float, asked: float, where: str, unit: str) -> float:
 class GoalParameters(Record):
     """What may change while the node runs: for the next goal, and for stops of the present one."""
 
-    allows_partial: bool = quantity(
-        "Take goals that name some joints only", default=False, key="allow_partial_joints_goal"
+    allow_partial_joints_goal: bool = quantity(
+        "Take goals that name some joints only", default=False
     )
-    allows_final_velocity: bool = quantity(
+    allow_nonzero_velocity_at_trajectory_end: bool = quantity(
         "Take goals whose last point has a velocity; the reference rests there all the same",
         default=False,
-        key="allow_nonzero_velocity_at_trajectory_end",
     )
     goal_time: float = quantity(
         "How much later than its last point a goal's tolerances must be met [s]; 0 waits for ever",
@@ -162,7 +161,7 @@ class GoalParameters(Record):
         least=0.0,
         key="constraints.goal_time",
     )
-    stopped_velocity: float = quantity(
+    stopped_velocity_tolerance: float = quantity(
         "Velocity at which a joint counts as stopped at the end of a goal [rad/s]; 0 is any",
         default=0.01,
         least=0.0,
@@ -289,7 +288,10 @@ class GroupSettings:
         pairs = list(zip(joints, own, strict=True))
         tolerances = Tolerances(
             {joint: Tolerance(each.trajectory) for joint, each in pairs},
-            {joint: Tolerance(each.goal, goals.stopped_velocity) for joint, each in pairs},
+            {
+                joint: Tolerance(each.goal, goals.stopped_velocity_tolerance)
+                for joint, each in pairs
+            },
             goals.goal_time,
         )
         return cls(
@@ -356,14 +358,14 @@ class GoalRequest:
                 line = unknown_name("joint", joint, settings.joints)
                 raise GoalError(line, ResultCode.INVALID_JOINTS)
         lacking = [joint for joint in settings.joints if joint not in self.names]
-        if lacking and not settings.goals.allows_partial:
+        if lacking and not settings.goals.allow_partial_joints_goal:
             raise GoalError(
                 f"the goal lacks {', '.join(lacking)}; it must name all joints unless "
                 f"allow_partial_joints_goal is true",
                 ResultCode.INVALID_JOINTS,
             )
         last = self.arrays.velocities[-1]
-        if not settings.goals.allows_final_velocity:
+        if not settings.goals.allow_nonzero_velocity_at_trajectory_end:
             for joint, velocity in zip(self.names, last.tolist(), strict=True):
                 if abs(velocity) > _AT_REST:  # NaN, where there is none, is not
                     unit = settings.facts[settings.joints.index(joint)].unit

@@ -28,7 +28,7 @@ from hpid_ros.nodes.core.middleware import (
 from hpid_ros.nodes.parts.command_interfaces import (
     COMMAND_INTERFACES,
     COMMANDS,
-    JOINT_STATE,
+    JOINT_STATE_INTERFACE,
     OF_CONTROLLERS,
     Template,
     message_type,
@@ -148,7 +148,7 @@ class SharedTopics:
 
     def sink(self, controller: Node, joint: str, sender: str) -> Sink:
         if not self.has_same(controller, COMMANDS):
-            return _sink(JOINT_STATE, controller, joint, sender)
+            return _sink(JOINT_STATE_INTERFACE, controller, joint, sender)
         if self._publisher is None:
             self._publisher = _publisher(self._node, JointState, COMMANDS, OFFERED)
             own = self._node.get_fully_qualified_name()
@@ -181,7 +181,7 @@ class SharedTopics:
     def _publish(self, joints: tuple[str, ...], stamp_ns: int, efforts: Sequence[float]) -> None:
         template = self._templates.get(joints)
         if template is None:
-            template = COMMAND_INTERFACES[JOINT_STATE].template(joints, self._sender)
+            template = COMMAND_INTERFACES[JOINT_STATE_INTERFACE].template(joints, self._sender)
             self._templates[joints] = template
         if self._publisher is not None:
             self._publisher.publish(template.encode(stamp_ns, effort=efforts))

@@ -130,16 +130,15 @@ _LONGEST = 4.0  # [s]; launch kills what has not ended 5 s after it was asked to
 class StopParameters(Record):
     """How a joint is left."""
 
-    kind: Literal["zero", "damping"] = quantity(
-        "How the joint is left: zero, damping for stop_duration", default="zero", key="stop"
+    stop: Literal["zero", "damping"] = quantity(
+        "How the joint is left: zero, damping for stop_duration", default="zero"
     )
-    duration: float = quantity(
+    stop_duration: float = quantity(
         "Duration of the damping stop",
         "s",
         default=0.5,
         least=0.0,
         most=_LONGEST,
-        key="stop_duration",
     )
 
 
@@ -149,8 +148,8 @@ class ControllerStop:
     def __init__(
         self, node: Node, joint: SupervisedLoop, commands: Commands, finish: Callable[[], None]
     ) -> None:
-        stop = read(node, StopParameters)
-        self._duration = stop.duration if stop.kind == "damping" else 0.0
+        given = read(node, StopParameters)
+        self._duration = given.stop_duration if given.stop == "damping" else 0.0
         self._node, self._joint, self._commands, self._finish = node, joint, commands, finish
         self._timer: Timer | None = None
         self._ended: Future | None = None

@@ -27,8 +27,8 @@ from hpid_ros.base.errors import BagError, HpidError, SettingError
 from hpid_ros.base.records import Record, quantity
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.base.yaml_text import dump_yaml
-from hpid_ros.control.controller_files import settings_from_parameters
-from hpid_ros.messages.metadata import PARAMETERS, missed_entries, slides_entry
+from hpid_ros.control.parameter_files import settings_from_parameters
+from hpid_ros.messages.metadata import CONTROLLERS_ENTRY, missed_entries, slides_entry
 from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import OFFERED, steady_timer
@@ -307,7 +307,7 @@ def _controllers(file: str) -> dict[str, str]:
         return {}
     document = load_yaml(Path(file), SettingError)
     settings_from_parameters(document, file)
-    return {PARAMETERS: dump_yaml(document)}
+    return {CONTROLLERS_ENTRY: dump_yaml(document)}
 
 
 def _positive(missed: Mapping[str, int]) -> dict[str, int]:

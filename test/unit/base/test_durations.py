@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.base.durations import NOTHING, Durations
+from hpid_ros.base.durations import NO_DURATIONS, Durations
 
 TIMES = st.lists(st.integers(200, 10**11), min_size=1, max_size=300)
 
@@ -47,8 +47,8 @@ def test_what_another_thread_notes_during_a_report_is_in_the_next(monkeypatch):
 
 def test_nothing_noted_is_nothing():
     durations = Durations()
-    assert durations.recent() == durations.whole() == NOTHING
+    assert durations.recent() == durations.whole() == NO_DURATIONS
     durations.note(5_000)
     durations.recent()
-    assert durations.recent() == NOTHING
+    assert durations.recent() == NO_DURATIONS
     assert durations.whole().samples == 1

@@ -13,7 +13,7 @@ from hpid_bench.tuning.autotune import relay_cycle
 from hpid_bench.tuning.identification.joint_record import JointRecord
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import Gains, JointLoop, LoopSettings, ModelTerm
-from hpid_ros.control.overrides import DONE, LONGEST, RelayRequest
+from hpid_ros.control.overrides import CYCLES_DONE, LONGEST_RELAY, RelayRequest
 from hpid_ros.control.reference import Setpoint
 
 MS = 1_000_000
@@ -50,7 +50,7 @@ class HeldJoint(Joint):
     def begin(self, **changes):
         self.loop.begin_relay(replace(ASKED, **changes))
 
-    def until_over(self, within=LONGEST):
+    def until_over(self, within=LONGEST_RELAY):
         begun_ns = self.stamp_ns
         while not self.loop.relay.is_over:
             self.step()
@@ -64,7 +64,7 @@ def test_a_relay_makes_a_limit_cycle_begins_and_ends_without_a_jump_and_the_join
     joint.run(0.1)
     joint.begin()
     _, position, _, effort = joint.until_over()
-    assert joint.loop.relay.ending == DONE
+    assert joint.loop.relay.ending == CYCLES_DONE
     assert joint.loop.relay.cycles == ASKED.cycles
     assert np.ptp(position) > 0.05
     assert np.sum(np.abs(np.diff(effort)) > 3.0) >= 2 * ASKED.cycles

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError, SettingError
-from hpid_ros.control.controller_files import parameters_from
 from hpid_ros.control.limited_law import LawSample, LimitedLaw
+from hpid_ros.control.parameter_files import parameters_from
 
 GAINS = {"p": 12.0, "i": 5.0, "d": 3.0}
 DT = 0.002
@@ -146,7 +146,10 @@ def test_a_pid_controller_of_positions_is_taken_too():
     assert loop.velocity.is_measured
     one = {"reference_and_state_interfaces": ["position"]}
     loop, remarks = only(pid({"j1": {**GAINS, "feedforward_gain": 3.0}}, **one))
-    assert (loop.velocity.source, loop.velocity.filter_time_constant) == ("filtered", 0.0)
+    assert (loop.velocity.velocity_source, loop.velocity.velocity_filter_time_constant) == (
+        "filtered",
+        0.0,
+    )
     assert "d acts on differences of the error" in remarks
     assert "enable_feedforward is not true" in remarks
     fed = {"enable_feedforward": True}

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_bench.experiment.study import CLAIMS, NUMERIC_CLAIMS, Evidence, verdict
+from hpid_bench.experiment.study import CLAIMS, NUMERIC_CLAIMS, Evidence, claim_verdict
 
 
 def evidence(ivc=0.5, iavc=0.7, effort=0.7, itae=0.9, error=1.0, better=6, of=6, **more):
@@ -57,9 +57,9 @@ def test_enough_joints_are_as_many_as_four_of_six(joints):
 def test_a_verdict_names_where_a_claim_holds():
     good, bad = evidence(), evidence(ivc=0.9)
     each = claim("ivc")
-    assert verdict(each, {"a": good, "b": good}) == ("holds", ("a", "b"))
-    assert verdict(each, {"a": good, "b": bad}) == ("holds only when", ("a",))
-    assert verdict(each, {"b": bad}) == ("does not hold", ())
-    assert verdict(claim("overshoot"), {"a": good}) == ("not measured", ())
+    assert claim_verdict(each, {"a": good, "b": good}) == ("holds", ("a", "b"))
+    assert claim_verdict(each, {"a": good, "b": bad}) == ("holds only when", ("a",))
+    assert claim_verdict(each, {"b": bad}) == ("does not hold", ())
+    assert claim_verdict(claim("overshoot"), {"a": good}) == ("not measured", ())
     with_steps = {"a": good, "b": evidence(overshoot=0.5)}
-    assert verdict(claim("overshoot"), with_steps) == ("holds", ("b",))
+    assert claim_verdict(claim("overshoot"), with_steps) == ("holds", ("b",))

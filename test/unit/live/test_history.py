@@ -8,8 +8,8 @@ from harness.simulated_graph import loop_settings
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hpid_bench.live.controllers import Samples
-from hpid_bench.live.history import LONGEST, JointHistory, RisingCount, Track, extremes
+from hpid_bench.live.history import LONGEST_HISTORY, JointHistory, RisingCount, Track, extremes
+from hpid_bench.live.known_controllers import Samples
 from hpid_bench.live.streams import ControlClock, JointNumbers, JointSampler, joint_numbers
 from hpid_ros.messages.joint_state import JointStateFields
 from hpid_ros.metrics.indices import itae, total_variation
@@ -48,7 +48,7 @@ def test_a_track_keeps_the_newest_rows_whatever_the_pieces(sizes):
     for size in sizes:
         track.append(rows[first : first + size])
         first += size
-    kept = rows[rows[:, 0] >= rows[-1, 0] - LONGEST]
+    kept = rows[rows[:, 0] >= rows[-1, 0] - LONGEST_HISTORY]
     assert np.array_equal(track.rows, kept)
 
 

@@ -9,7 +9,7 @@ from harness.simulated_graph import SimulatedGraph, arm
 from nicegui import Client, ui
 
 from hpid_bench.live.advice import Advice
-from hpid_bench.live.controllers import Samples
+from hpid_bench.live.known_controllers import Samples
 from hpid_bench.live.page.panel import AllParameters, TuningPanel
 from hpid_bench.live.page.parts import Viewer
 from hpid_bench.live.page.trial_panel import TrialPanel

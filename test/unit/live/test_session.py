@@ -11,7 +11,7 @@ from harness.simulated_graph import SimulatedGraph, arm, loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_bench.live.controllers import Answer
+from hpid_bench.live.known_controllers import Answer
 from hpid_bench.live.page.server import Frames
 from hpid_bench.live.session import (
     BANDWIDTH,

@@ -10,10 +10,10 @@ from harness.simulated_graph import SimulatedGraph, arm
 
 from hpid_bench.live import motion as watching
 from hpid_bench.live import trials as module
-from hpid_bench.live.controllers import RunningGraph, Samples
-from hpid_bench.live.motion import RELEASED, Ending, Mover, carried_out
+from hpid_bench.live.known_controllers import RunningGraph, Samples
+from hpid_bench.live.motion import BUTTON_RELEASED, Ending, Mover, carried_out
 from hpid_bench.live.session import LiveSession
-from hpid_bench.live.trials import MotionWish, Stage, Trials, Tried, Variant
+from hpid_bench.live.trials import MotionWish, Trials, TrialStage, Tried, Variant
 from hpid_ros.base.errors import HpidError, RunError
 
 NODE, OTHER, *_ = arm()
@@ -42,7 +42,7 @@ class Motion:
 
     def release(self):
         if self.stage != "ended":
-            self._end(RELEASED)
+            self._end(BUTTON_RELEASED)
 
     def _end(self, reason):
         began_at = () if self.stage == "preparing" else tuple(self.began_at)
@@ -86,7 +86,7 @@ class Bench:
             await asyncio.wait_for(asyncio.gather(trial, course(self)), 20.0)
 
         asyncio.run(both())
-        assert self.trials.stage is Stage.IDLE
+        assert self.trials.stage is TrialStage.IDLE
         return self.trials.said
 
     @property
@@ -95,10 +95,10 @@ class Bench:
 
     async def move(self, motion=1):
         """Press the button of a motion that becomes ready."""
-        await self.reach(Stage.READY, motion)
+        await self.reach(TrialStage.READY, motion)
         self.trials.release(PAGE)  # of the motion before
         self.trials.press(PAGE)
-        await self.reach(Stage.MOVING, motion)
+        await self.reach(TrialStage.MOVING, motion)
 
     async def hold(self, motions=1):
         """Hold the button of each motion until it ends."""
@@ -134,7 +134,8 @@ def measuring(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("stage", "motions"), [(Stage.PREPARING, 0), (Stage.PREPARING, 1), (Stage.READY, 1)]
+    ("stage", "motions"),
+    [(TrialStage.PREPARING, 0), (TrialStage.PREPARING, 1), (TrialStage.READY, 1)],
 )
 @pytest.mark.parametrize("variants", [(CHOSEN, IN_FORCE), (CHOSEN,)])
 def test_a_trial_that_is_cancelled_sets_back_and_does_not_become_ready(variants, stage, motions):
@@ -151,7 +152,7 @@ def test_a_trial_that_is_cancelled_sets_back_and_does_not_become_ready(variants,
     assert bench.trials.unfinished() == []
     assert bench.gain == bench.before
     called = any("hold the button" in each.text for each in bench.session.log)
-    assert called == (stage is Stage.READY)
+    assert called == (stage is TrialStage.READY)
 
 
 @pytest.mark.parametrize("place", ["measure", "compare"])
@@ -171,7 +172,7 @@ def test_a_trial_that_is_cancelled_while_its_last_motion_is_measured_sets_back(p
 
 def test_what_is_chosen_during_a_trial_is_not_what_was_chosen_before_it():
     async def choose(bench):
-        await bench.reach(Stage.READY)
+        await bench.reach(TrialStage.READY)
         bench.session.tuning.stage([NODE], "gains.p", 60.0)
         bench.trials.cancel()
 
@@ -246,7 +247,7 @@ def test_what_is_kept_of_a_trial_is_what_was_tried_alone(measuring):
 )
 def test_what_others_do_ends_a_trial_before_it_is_pressed(act, said, monkeypatch):
     async def meanwhile(bench):
-        await bench.reach(Stage.READY)
+        await bench.reach(TrialStage.READY)
         act(bench)
 
     monkeypatch.setattr(module, "_GONE_FOR", 0.2)
@@ -257,7 +258,7 @@ def test_a_motion_that_a_limit_stopped_is_not_tried_again():
     left = []
 
     async def hold(bench):
-        await bench.reach(Stage.READY)
+        await bench.reach(TrialStage.READY)
         left.append(bench.trials.seconds_left)
         await bench.move()
         left.append(bench.trials.seconds_left)
@@ -290,12 +291,12 @@ def test_who_is_left_is_set_back_where_the_controller_of_another_joint_ends_in_t
 
 def test_a_trial_leaves_alone_what_somebody_else_sets_meanwhile():
     async def lower_the_effort(bench):
-        await bench.reach(Stage.READY)
+        await bench.reach(TrialStage.READY)
         bench.graph.set(NODE, {"u_clamp_max": 5.0, "gains.d": 9.0})
         bench.session.pulse()
         await bench.move()
         bench.motions[0].press()
-        await bench.reach(Stage.IDLE)
+        await bench.reach(TrialStage.IDLE)
 
     bench = Bench("a limit was reached")
     before = bench.graph.joints[NODE].settings.to_parameters()
@@ -404,13 +405,13 @@ class Tapped(Motion):
 @pytest.mark.parametrize("motion", [Motion, Tapped])
 def test_a_motion_whose_button_was_let_go_is_prepared_once_more_until_it_is_cancelled(motion):
     async def let_go(bench):
-        await bench.reach(Stage.READY)
+        await bench.reach(TrialStage.READY)
         bench.trials.press(PAGE)
         if motion is Motion:
-            await bench.reach(Stage.MOVING)
+            await bench.reach(TrialStage.MOVING)
         bench.trials.release(PAGE)
         assert bench.motions[0].stage == "ended"
-        await bench.reach(Stage.READY, motions=2)
+        await bench.reach(TrialStage.READY, motions=2)
         bench.trials.release(PAGE)  # nobody has pressed it
         assert bench.motions[1].stage == "ready"
         bench.trials.cancel()
@@ -418,32 +419,32 @@ def test_a_motion_whose_button_was_let_go_is_prepared_once_more_until_it_is_canc
     bench = Bench(motion=motion)
     assert bench.run(let_go) == "cancelled"
     assert len({each.bag for each in bench.motions}) == 2
-    assert any(RELEASED in each.text for each in bench.session.log)
+    assert any(BUTTON_RELEASED in each.text for each in bench.session.log)
 
 
-@pytest.mark.parametrize("stage", [Stage.PREPARING, Stage.READY, Stage.MOVING])
+@pytest.mark.parametrize("stage", [TrialStage.PREPARING, TrialStage.READY, TrialStage.MOVING])
 def test_stop_ends_a_trial_at_once_and_no_press_moves_anything_afterwards(stage):
     async def stop(bench):
-        await bench.reach(Stage.PREPARING, motions=1)
-        if stage is Stage.READY:
+        await bench.reach(TrialStage.PREPARING, motions=1)
+        if stage is TrialStage.READY:
             await bench.reach(stage)
-        elif stage is Stage.MOVING:
+        elif stage is TrialStage.MOVING:
             await bench.move()
         stopping = asyncio.ensure_future(bench.trials.stop())
         await asyncio.sleep(0)
-        assert bench.trials.stage is Stage.ENDING  # nothing has been waited for
+        assert bench.trials.stage is TrialStage.ENDING  # nothing has been waited for
         assert bench.trials.said.startswith("ended by Stop")
         (motion,) = bench.motions
         assert motion.stage == "ended"
         for _ in range(3):
             bench.trials.press(PAGE)
             await asyncio.sleep(0.02)
-            assert motion.presses == (stage is Stage.MOVING)
+            assert motion.presses == (stage is TrialStage.MOVING)
         assert await stopping
 
     bench = Bench()
     assert asyncio.run(bench.trials.stop())  # of nothing: nothing is said
-    assert (bench.trials.stage, bench.trials.said) == (Stage.IDLE, "")
+    assert (bench.trials.stage, bench.trials.said) == (TrialStage.IDLE, "")
     asyncio.run(bench.session.transit([NODE], "activate"))
     assert bench.run(stop).startswith("ended by Stop: activate the joints")
     assert len(bench.motions) == 1
@@ -458,12 +459,12 @@ def test_stop_ends_a_trial_at_once_and_no_press_moves_anything_afterwards(stage)
 def test_a_press_that_is_too_early_is_answered_and_does_not_count_until_it_is_let_go(is_held_on):
     async def press_early(bench):
         trials = bench.trials
-        await bench.reach(Stage.PREPARING, motions=1)
+        await bench.reach(TrialStage.PREPARING, motions=1)
         trials.press(PAGE)
         assert trials.said.startswith("not ready yet: let go, and press again")
         if not is_held_on:
             trials.release(PAGE)
-        while trials.stage is not Stage.READY:
+        while trials.stage is not TrialStage.READY:
             if is_held_on:
                 trials.press(PAGE)
             await asyncio.sleep(0.02)

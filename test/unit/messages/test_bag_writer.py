@@ -24,8 +24,8 @@ from hpid_ros.base.errors import BagError, LibraryError, ResultExistsError
 from hpid_ros.base.libraries import optional_libraries
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.metadata import (
-    MISSED,
-    STOOD_STILL,
+    MISSED_ENTRY,
+    STOOD_STILL_ENTRY,
     custom_data,
     missed_entries,
     missed_messages,
@@ -410,5 +410,5 @@ def test_what_a_recorder_missed_is_told_with_the_numbers_and_kept_by_a_repair(tm
     "text", ["", "no json", "[1]", "nan", "-1", '{"/a": "7", "/b": -1, "/c": true}']
 )
 def test_an_entry_that_is_no_count_is_passed_over(text):
-    assert missed_messages({MISSED: text}) == {}
-    assert time_stood_still({STOOD_STILL: text}) == 0.0
+    assert missed_messages({MISSED_ENTRY: text}) == {}
+    assert time_stood_still({STOOD_STILL_ENTRY: text}) == 0.0

@@ -27,7 +27,7 @@ def bag(tmp_path):
 @pytest.fixture
 def kept(bag, monkeypatch):
     """Return a run none of whose arrays has room in memory."""
-    monkeypatch.setattr(spill, "ROOM", 0)
+    monkeypatch.setattr(spill, "BYTES_IN_MEMORY", 0)
     run = read_run(bag, "run", joints=["a", "b"])
     assert isinstance(run.joints, KeptJoints)
     return run
@@ -84,7 +84,7 @@ def test_metrics_and_report_are_the_same(bag, tmp_path, capsys, monkeypatch, opt
         return capsys.readouterr().out, report.read_text().replace(f"{name}.html", "")
 
     whole = numbers("whole")
-    monkeypatch.setattr(spill, "ROOM", 0)
+    monkeypatch.setattr(spill, "BYTES_IN_MEMORY", 0)
     assert numbers("kept") == whole
 
 
@@ -94,7 +94,7 @@ def test_joints_with_stamps_of_their_own_come_back_with_these(tmp_path, monkeypa
         log += [state(k * S // 100 + 2, a=0.1 * k), state(k * S // 100 + 9, b=0.1 * k)]
     bag = write_bag(tmp_path / "bag", log)
     run = read_run(bag, "run", joints=["a", "b"])
-    monkeypatch.setattr(spill, "ROOM", 0)
+    monkeypatch.setattr(spill, "BYTES_IN_MEMORY", 0)
     for one, other in zip(run.joints, read_run(bag, "run", joints=["a", "b"]).joints, strict=True):
         assert_equal(one, other)
 
@@ -104,14 +104,14 @@ def test_a_full_disk_is_one_line(bag, monkeypatch):
         def write(self, raw):
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(spill, "ROOM", 0)
+    monkeypatch.setattr(spill, "BYTES_IN_MEMORY", 0)
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: Full())
     with pytest.raises(BagError, match=r"needs room in .* \(TMPDIR\): No space left on device"):
         read_run(bag, "run", joints=["a", "b"])
 
 
 def test_what_has_room_stays_in_memory_and_what_has_not_comes_back(monkeypatch):
-    monkeypatch.setattr(spill, "ROOM", 100)
+    monkeypatch.setattr(spill, "BYTES_IN_MEMORY", 100)
     spilled = spill.Spill()
     arrays = [np.arange(10.0), np.arange(20.0).reshape(4, 5), np.array([True, False]), np.empty(0)]
     kept = [spilled.keep(each) for each in arrays]

@@ -33,7 +33,7 @@ from hpid_ros.metrics.quantities import (
     INDICES,
     ITAE,
     IVC,
-    NORMS,
+    L2_NORMS,
     Data,
 )
 from hpid_ros.metrics.run_numbers import run_indices
@@ -221,7 +221,9 @@ def test_totals_over_different_joints_are_neither_compared_nor_folded():
     for quantity in (IVC, IAVC, EFFORT_L2):
         assert not math.isnan(part.value(quantity))
         assert math.isnan(comparison.ratio("hPID", quantity))
-        assert comparison.ratio("hPID", quantity, "a") == pytest.approx(1.0) or quantity in NORMS
+        assert (
+            comparison.ratio("hPID", quantity, "a") == pytest.approx(1.0) or quantity in L2_NORMS
+        )
     assert comparison.ratio("hPID", ITAE) == 1.0
     (folded,) = fold_repeats([whole, dataclasses.replace(part, label="PID")])
     assert math.isnan(folded.value(IVC))
@@ -365,7 +367,7 @@ def test_the_csv_returns_every_number_to_the_bit(three):
     rows = list(csv.DictReader(io.StringIO(table_csv(three))))
     assert tuple(rows[0]) == CSV_COLUMNS
     assert len(rows) == 3 * (4 * 3 + 3 + 2)
-    quantities = {quantity.key: quantity for quantity in (*INDICES, *NORMS)}
+    quantities = {quantity.key: quantity for quantity in (*INDICES, *L2_NORMS)}
     for row in rows:
         quantity, joint = quantities[row["quantity"]], row["joint"] or None
         assert float(row["value"]) == three.run(row["run"]).value(quantity, joint)

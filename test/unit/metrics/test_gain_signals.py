@@ -27,8 +27,8 @@ SETTINGS = LoopSettings(
 )
 SLOW = 0.2  # [s], a filter whose velocities lag far behind
 SOURCES = [
-    VelocitySettings("measured", filter_time_constant=SLOW),
-    VelocitySettings("filtered", filter_time_constant=SLOW),
+    VelocitySettings("measured", velocity_filter_time_constant=SLOW),
+    VelocitySettings("filtered", velocity_filter_time_constant=SLOW),
     VelocitySettings("homogeneous_differentiator", acceleration_bound=100.0),
     VelocitySettings("observer"),
 ]

@@ -33,7 +33,7 @@ from hpid_ros.metrics.quantities import (
     INDICES,
     ITAE,
     IVC,
-    NORMS,
+    L2_NORMS,
     OVERSHOOT,
     QUANTITIES,
     RISE_TIME,
@@ -509,7 +509,7 @@ def test_limits_and_cutoff_are_used_and_checked():
 
 
 def test_quantities_are_found_by_key_symbol_or_group_once_each():
-    assert find_quantities(["paper"]) == (*INDICES, *NORMS)
+    assert find_quantities(["paper"]) == (*INDICES, *L2_NORMS)
     assert find_quantities(["all"]) == tuple(QUANTITIES.values())
     assert find_quantities([" RMSE", "rmse", "max|e|"]) == (RMSE, ERROR_MAX)
     assert find_quantities(["step", "rise_time"]) == STEP_QUANTITIES

@@ -26,7 +26,7 @@ from hpid_ros.motion.excitation import (
     plan,
     plan_return,
     planned_relay,
-    sine,
+    sine_excitation,
     steps,
     there_and_back,
 )
@@ -268,7 +268,7 @@ def test_there_and_back_is_within_limits_and_rests_at_both_ends(limits, duration
 def test_a_sine_has_whole_periods_of_its_frequency_and_begins_softly(
     limits, duration, frequency, fade
 ):
-    course = sine(duration, frequency, fade, limits)
+    course = sine_excitation(duration, frequency, fade, limits)
     require_within(course, limits)
     periods = course.times[-1] * frequency
     assert periods == pytest.approx(max(1, round(duration * frequency)))
@@ -291,8 +291,14 @@ def test_a_sine_has_whole_periods_of_its_frequency_and_begins_softly(
         (lambda: steps(2.0, LIMITS), r"must last .* s at least, not 2"),
         (lambda: there_and_back(0.3, Peaks(1.0, 1.0, 1.0), is_fast=True), "at least, not 0.3"),
         (lambda: there_and_back(math.nan, Peaks(1.0, 1.0, 1.0), is_fast=False), "not nan"),
-        (lambda: sine(5.0, 0.0, 1.0, Peaks(1.0, 1.0, 1.0)), "frequency of a sine must be"),
-        (lambda: sine(math.inf, 1.0, 1.0, Peaks(1.0, 1.0, 1.0)), "duration of a sine must be"),
+        (
+            lambda: sine_excitation(5.0, 0.0, 1.0, Peaks(1.0, 1.0, 1.0)),
+            "frequency of a sine must be",
+        ),
+        (
+            lambda: sine_excitation(math.inf, 1.0, 1.0, Peaks(1.0, 1.0, 1.0)),
+            "duration of a sine must be",
+        ),
     ],
 )
 def test_what_is_no_motion_is_refused(make, line):

@@ -8,7 +8,7 @@ from rclpy.parameter import Parameter
 from hpid_bench.tuning.recorded_loops import controllers_of
 from hpid_ros.base.resources import share_folder
 from hpid_ros.control.settings import LARGEST_EFFORT
-from hpid_ros.nodes.parts.controller import ControllerSettings
+from hpid_ros.nodes.parts.settings_and_health import ControllerSettings
 
 URDF = str(share_folder() / "urdf" / "mobile_manipulator.urdf")
 LOOP = {"joint": "arm_joint_2", "gains.p": 30.0, "gains.i": 60.0, "gains.d": 3.0}

@@ -8,10 +8,10 @@ from rclpy.parameter import Parameter
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import NODE_PARAMETERS, is_for, node_sections
 from hpid_ros.base.records import names_of
-from hpid_ros.control.controller_files import parameters_from, settings_from_parameters
+from hpid_ros.control.parameter_files import parameters_from, settings_from_parameters
 from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.nodes.core.parameters import as_declared, require_known
-from hpid_ros.nodes.joint_controller import RECORDS
+from hpid_ros.nodes.core.parameters import as_declared, require_known_parameters
+from hpid_ros.nodes.joint_controller import CONTROLLER_RECORDS
 
 T = Parameter.Type
 
@@ -173,15 +173,15 @@ COMPOSED = {"joint_controllers": {"joints"}, "elbow": CONTROLLER, "merger": {"st
 def test_a_parameter_that_no_node_has_to_which_it_was_given_is_one_line_of_that_node(given, said):
     nodes = [(name, given.get(name, set()), has) for name, has in COMPOSED.items()]
     if said is None:
-        require_known(nodes)
+        require_known_parameters(nodes)
         return
     with pytest.raises(SettingError) as refused:
-        require_known(nodes)
+        require_known_parameters(nodes)
     assert str(refused.value) == said
 
 
 def test_a_controllers_own_parameters_are_known_where_files_are_read():
     """The room that reads files knows no node, so the names stand there once more."""
-    own = {name for name in names_of(*RECORDS) if name not in PARAMETERS}
+    own = {name for name in names_of(*CONTROLLER_RECORDS) if name not in PARAMETERS}
     of_rclpy = {"qos_overrides", "start_type_description_service", "use_sim_time"}
     assert own | of_rclpy == NODE_PARAMETERS

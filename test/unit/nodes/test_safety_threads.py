@@ -19,13 +19,13 @@ from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Supervisor
 from hpid_ros.nodes.joint_controller import JointController
 from hpid_ros.nodes.parts import references as controller_references
-from hpid_ros.nodes.parts.controller import ControllerHealth
 from hpid_ros.nodes.parts.joint_topics import Commands, Sink
 from hpid_ros.nodes.parts.references import (
     ControllerReferences,
     ReferenceDecoder,
     TrajectorySubscriptions,
 )
+from hpid_ros.nodes.parts.settings_and_health import ControllerHealth
 
 MS = 1_000_000
 

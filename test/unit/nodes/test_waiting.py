@@ -17,7 +17,7 @@ from hpid_ros.nodes.core.waiting import (
     Waiting,
     described,
     fits,
-    misfit,
+    qos_misfit,
     type_name,
     unseen,
 )
@@ -129,7 +129,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     ],
 )
 def test_a_quality_of_service_that_lets_nothing_pass_is_named(offered, asked, by_this_node, line):
-    assert misfit(offered, asked, by_this_node=by_this_node) == line
+    assert qos_misfit(offered, asked, by_this_node=by_this_node) == line
 
 
 def test_a_message_type_has_the_name_that_the_graph_gives_it():

@@ -16,15 +16,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from hpid_bench.report.figures import PAPER, RUN_STYLES, figures_of, phase_curve
+from hpid_bench.report.figures import BACKGROUND, RUN_STYLES, figures_of, phase_curve
 from hpid_bench.report.plots import (
     TickLabels,
+    drawing_bytes,
     drawn,
     figure_style,
     laid_out,
     legend_outside,
     log_ticks,
-    render,
 )
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.assembly import make_law, make_norm, make_velocity_source
@@ -345,9 +345,9 @@ def test_runs_are_told_apart_by_lightness_and_by_line_too():
     assert abs(lightness(first.color) - lightness(second.color)) > 0.1
     assert first.dashes != second.dashes
     for style in RUN_STYLES:
-        contrast = (lightness(PAPER) + 0.05) / (lightness(style.color) + 0.05)
+        contrast = (lightness(BACKGROUND) + 0.05) / (lightness(style.color) + 0.05)
         assert contrast >= 3.0, f"{style.color} is too faint on paper"
-    assert PAPER not in [style.tint for style in RUN_STYLES[1:]]  # a gap's peak is drawn, too
+    assert BACKGROUND not in [style.tint for style in RUN_STYLES[1:]]  # a gap's peak is drawn, too
 
 
 # Files -----------------------------------------------------------------------------------------
@@ -355,7 +355,9 @@ def test_runs_are_told_apart_by_lightness_and_by_line_too():
 
 @pytest.mark.parametrize(("form", "begin"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<")])
 def test_the_same_runs_give_the_same_bytes(runs, form, begin):
-    first, second = (render(drawing(figures(runs)["error_norm"], runs), form) for _ in range(2))
+    first, second = (
+        drawing_bytes(drawing(figures(runs)["error_norm"], runs), form) for _ in range(2)
+    )
     assert first == second
     assert first.startswith(begin)
     assert not re.search(rb"CreationDate|<dc:date>", first)

@@ -20,7 +20,7 @@ from hpid_ros.control.loop_state import LoopMode
 from hpid_ros.control.model import ModelTerm
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
-from hpid_ros.stability.gain_check import check_gains, inertia_of
+from hpid_ros.stability.gain_check import check_gains, judged_inertia
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -183,8 +183,8 @@ def test_decoupled_gains_are_judged_on_inertia_one_whatever_the_joints_is():
     parameters = {"joint": "j", "law": "hpid", "mu": -0.1, **UNIT, "inertia": 0.02}
     parameters |= {"compensation": "decoupling", "norm.error_scale": 0.3, "norm.rate_weight": 0.2}
     settings = LoopSettings.from_parameters(parameters)
-    assert inertia_of(settings) == inertia_of(settings, (0.01, 0.5)) == (1.0, 1.0)
-    (verdict,) = check_gains([(settings, inertia_of(settings))])
+    assert judged_inertia(settings) == judged_inertia(settings, (0.01, 0.5)) == (1.0, 1.0)
+    (verdict,) = check_gains([(settings, judged_inertia(settings))])
     assert verdict.is_certified
     assert verdict.integral_ratio == pytest.approx(1000.0 / (300.0 * 30.0))
     with pytest.raises(GainError, match="unstable"):  # stable on 0.02 kg m^2, not on 1

@@ -177,7 +177,7 @@ SCHEDULE = (GripCommand(0.15, False), GripCommand(0.02, True))
 
 
 def test_a_schedule_does_what_a_person_at_the_same_time_would_do():
-    with World(replace(SETTINGS, workplace=replace(PLACE, schedule=SCHEDULE))) as scheduled:
+    with World(replace(SETTINGS, workplace=replace(PLACE, grips=SCHEDULE))) as scheduled:
         by_schedule = lift(scheduled, 200)
         told = outcomes(scheduled)
     with World(SETTINGS) as world:
@@ -193,7 +193,7 @@ def test_a_schedule_does_what_a_person_at_the_same_time_would_do():
 
 
 def test_a_reset_repeats_everything_to_the_last_bit():
-    with World(replace(SETTINGS, workplace=replace(PLACE, schedule=SCHEDULE))) as world:
+    with World(replace(SETTINGS, workplace=replace(PLACE, grips=SCHEDULE))) as world:
         once = lift(world, 200)
         events = list(world.gripper.events)
         world.reset()

@@ -17,7 +17,7 @@ from hpid_ros.base.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics
-from hpid_ros.simulation.mujoco import build_model
+from hpid_ros.simulation.mujoco import build_mujoco_model
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 
@@ -39,7 +39,7 @@ def pose(description, seed):
 
 def built(description):
     settings = WorldSettings(description.xml, tuple(description.joints), fixed_base=True)
-    found = build_model(settings, description)
+    found = build_mujoco_model(settings, description)
     return found, mujoco.MjData(found.model)
 
 
@@ -110,7 +110,7 @@ def test_the_robot_sinks_into_its_tyres_by_its_weight_over_their_stiffness():
 
 def test_a_robot_without_friction_at_its_balls_slides_on_them():
     """Their contacts have no friction at all, although the ground has."""
-    model = build_model(replace(SETTINGS, fixed_base=False), ROBOT).model
+    model = build_mujoco_model(replace(SETTINGS, fixed_base=False), ROBOT).model
     names = [model.pair(index).name for index in range(model.npair)]
     balls = [index for index, name in enumerate(names) if name.startswith("ball_")]
     assert len(balls) == 4

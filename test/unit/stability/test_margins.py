@@ -110,7 +110,11 @@ def test_a_dead_time_that_costs_stability_at_the_nyquist_frequency_counts():
 
 def python_control_loop(loop):
     """Return the open loop of an explicit PID with a filtered velocity, by python-control."""
-    gains, joint, tau = loop.gains, loop.joint, loop.settings.velocity.filter_time_constant
+    gains, joint, tau = (
+        loop.gains,
+        loop.joint,
+        loop.settings.velocity.velocity_filter_time_constant,
+    )
     period = joint.period
     a = joint.friction / joint.inertia
     plant = control.ss([[0.0, 1.0], [0.0, -a]], [[0.0], [1.0 / joint.inertia]], [[1.0, 0.0]], 0)

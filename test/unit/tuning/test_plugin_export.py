@@ -39,7 +39,7 @@ from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.stability.certification import check_certificate
 from hpid_ros.stability.closed_loop import Certificate
 from hpid_ros.stability.gain_boxes import _box, _range, gain_ranges
-from hpid_ros.stability.gain_check import CERTIFICATES, certified_degrees, verify
+from hpid_ros.stability.gain_check import CERTIFICATES, certified_degrees, verify_certificates
 
 pytestmark = pytest.mark.slow  # it compiles and certifies
 
@@ -368,9 +368,9 @@ def test_every_certificate_of_the_package_holds(exported):
     }
     assert {"elbow", "wrist"} <= set(saved)
     for corners in saved.values():
-        assert verify(corners).text.startswith("all 6 hold, ")
+        assert verify_certificates(corners).text.startswith("all 6 hold, ")
     corners[4]["gains"]["i"] *= 40.0
-    assert verify(corners).text.startswith("certificate 5 of 6 does NOT hold: ")
+    assert verify_certificates(corners).text.startswith("certificate 5 of 6 does NOT hold: ")
 
 
 def test_gains_within_a_box_are_certified_by_its_p_and_far_beyond_it_are_not():

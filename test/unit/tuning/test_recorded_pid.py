@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from harness.joints import PERIOD, Joint, moved, sines
 
-from hpid_bench.tuning.loop_simulation import JointFacts, RobotSimulation, simulate
+from hpid_bench.tuning.loop_simulation import DriveFacts, RobotSimulation, simulate
 from hpid_bench.tuning.recorded_pid import recorded_answers
 
 JOINT = Joint()
@@ -39,7 +39,7 @@ def test_efforts_of_another_controller_are_not_late():
 def test_a_simulated_joint_that_was_held_does_not_fall():
     reference = 1.0 + sines(2.0)
     series, _ = moved(JOINT, JOINT.settings(), reference, hold=3.0)
-    facts = {"a": JointFacts(delay=JOINT.delay)}
+    facts = {"a": DriveFacts(delay=JOINT.delay)}
     loops = {"PID": [JOINT.settings()]}
     robot = RobotSimulation(URDF, fixed_base=True, facts=facts, engine="mujoco")
     (run,) = simulate(robot, loops, [series])

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hpid_bench.tuning.recorded_loops import controllers_of
 from hpid_bench.tuning.replay import (
     Instruction,
-    JointRecord,
     RecordedCommand,
+    RecordedLoop,
     RecordedState,
     driven,
     following,
@@ -81,7 +81,7 @@ class Recorder:
     def replay(self):
         instructions = sorted(self.instructions, key=lambda each: each.place)
         return replay_joint(
-            JointRecord(
+            RecordedLoop(
                 SETTINGS, self.states, self.commands, instructions, self.states[0].stamp_ns
             )
         )
@@ -126,7 +126,7 @@ def test_what_the_law_did_is_the_law_from_when_the_controller_listens():
 def test_nothing_that_could_be_computed_is_no_proof():
     assert not recorded(10, is_answer_recorded=False).replay().is_the_law
     command = RecordedCommand(0, MS, 1.0, "somebody")
-    verdict = replay_joint(JointRecord(SETTINGS, [], [command], [], 0))
+    verdict = replay_joint(RecordedLoop(SETTINGS, [], [command], [], 0))
     assert (verdict.equal, verdict.different, verdict.outside) == (0, 0, 1)
     assert not verdict.is_the_law
 

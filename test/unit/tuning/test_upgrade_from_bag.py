@@ -5,7 +5,7 @@ import pytest
 
 from hpid_bench.tuning.identification.joint_identification import JointIdentification
 from hpid_bench.tuning.identification.regression import Estimate
-from hpid_bench.tuning.loop_simulation import JointFacts
+from hpid_bench.tuning.loop_simulation import DriveFacts
 from hpid_bench.tuning.loop_statistics import position_noise
 from hpid_bench.tuning.robot_model import robot_model
 from hpid_bench.tuning.simulated_pid import _NoiseSearch
@@ -117,7 +117,7 @@ def test_each_margin_is_the_worst_of_the_least_and_the_largest_inertia():
 @pytest.mark.parametrize("noise", [0.02, 0.1, 0.4, None])
 def test_noise_below_a_count_is_found_by_how_the_effort_varies(noise):
     """And none is taken where the effort varies whatever the noise is."""
-    search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
+    search = _NoiseSearch.begun(DriveFacts(0, 0.0, 1.0))
     for _ in range(8):
         if noise is None:
             search = search.after(1.0, 3.0)

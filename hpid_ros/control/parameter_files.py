@@ -47,7 +47,7 @@ def settings_from_parameters(document: object, where: str) -> dict[str, LoopSett
     return parameters_from(document, where).loops
 
 
-def given_parameters(document: object, where: str) -> dict[str, dict[str, Value]]:
+def parameters_in_file(document: object, where: str) -> dict[str, dict[str, Value]]:
     """Return what a parameter file itself says of every loop, by node; checked as a whole."""
     given, _ = _given(document, where)
     return {

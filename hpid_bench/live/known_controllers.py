@@ -34,7 +34,7 @@ class Health(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Controller:
+class RunningController:
     """A joint controller of this package on the graph."""
 
     node: str  # its full name
@@ -48,12 +48,12 @@ class Controller:
     effort: float | None = None  # [N m] or [N], the mean of its joint; None likewise
 
     @classmethod
-    def of(cls, node: str, parameters: Mapping[str, Any]) -> Controller:
+    def of(cls, node: str, parameters: Mapping[str, Any]) -> RunningController:
         settings = LoopSettings.from_parameters(_of_loop(parameters))
         limits = _described_limits(str(parameters["robot_description"]), settings.joint)
         return cls(node, parameters, limits.within(settings), limits)
 
-    def with_parameters(self, changes: Mapping[str, Any]) -> Controller:
+    def with_parameters(self, changes: Mapping[str, Any]) -> RunningController:
         """Return it after some of its parameters have been set."""
         parameters = {**self.parameters, **changes}
         settings = LoopSettings.from_parameters(_of_loop(parameters))
@@ -100,16 +100,16 @@ def _described_limits(source: str, joint: str) -> JointDescription:
 class RunningGraph(NamedTuple):
     """Controllers as whatever moves joints wants them."""
 
-    controllers: Mapping[str, Controller]  # by joint, with positions and efforts
+    controllers: Mapping[str, RunningController]  # by joint, with positions and efforts
     has_commands: bool  # whether they publish efforts on joint_commands
     states: str = "joint_states"  # name of the topic that their states come from
 
     @classmethod
     def of(
-        cls, controllers: Iterable[Controller], states: str, *, has_commands: bool
+        cls, controllers: Iterable[RunningController], states: str, *, has_commands: bool
     ) -> RunningGraph:
         """Order controllers by their joints, of which each must have one."""
-        found: dict[str, Controller] = {}
+        found: dict[str, RunningController] = {}
         for each in controllers:
             if each.joint in found:
                 both = f"{found[each.joint].node} and {each.node}"
