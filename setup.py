@@ -128,8 +128,11 @@ setup(
     package_data={
         PACKAGE: ["py.typed"],
         BENCH: [
-            *("py.typed", "report/assets/*", "report/templates/*"),
-            *("tuning/templates/*.[ch]", "tuning/templates/ros2_control/*"),
+            "py.typed",
+            "report/assets/*",
+            "report/templates/*",
+            "tuning/templates/*.[ch]",
+            "tuning/templates/ros2_control/*",
             "live/page/assets/*",
         ],
     },

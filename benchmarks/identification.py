@@ -45,8 +45,15 @@ _TOGETHER, _ALONE = 20.0, 12.0  # [s], of all joints, of each, unless --duration
 _NOISES = (5e-5, 4e-4)  # [rad]
 _COUNTS = 65536
 _HEADINGS = (
-    *("robot", "parameter", "numbers", "told", "median error", "95 %", "largest"),
-    *("within limit", "inside interval"),
+    "robot",
+    "parameter",
+    "numbers",
+    "told",
+    "median error",
+    "95 %",
+    "largest",
+    "within limit",
+    "inside interval",
 )
 _LIMITS: Mapping[str, float] = {INERTIA: 0.03, VISCOUS: 0.1, COULOMB: 0.1, DELAY: 0.5}
 

@@ -92,8 +92,14 @@ def measure(form: Form, load: Load) -> Mapping[str, float]:
         Scripts(closed_environment(domain), Path(folder)) as scripts,
     ):
         pace = [
-            *("--states", str(round(load.rate * load.seconds)), "--rate", str(load.rate)),
-            *("--realtime-priority", str(load.priority), "--joints", *load.joints),
+            "--states",
+            str(round(load.rate * load.seconds)),
+            "--rate",
+            str(load.rate),
+            "--realtime-priority",
+            str(load.priority),
+            "--joints",
+            *load.joints,
         ]
         scripts.start("pacer", "pacer", pace + ["--merged"] * form.is_merged)
         _start(nodes, form, load)

@@ -342,8 +342,13 @@ STIMULI: dict[str, Callable[[Driver], Felt]] = {
     **{
         number.name: _signalled(number)
         for number in (
-            *(signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP, signal.SIGQUIT),
-            *(signal.SIGUSR1, signal.SIGALRM),
+            signal.SIGTERM,
+            signal.SIGINT,
+            signal.SIGHUP,
+            signal.SIGTSTP,
+            signal.SIGQUIT,
+            signal.SIGUSR1,
+            signal.SIGALRM,
         )
     },
     "second controller": rival,

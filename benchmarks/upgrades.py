@@ -62,18 +62,20 @@ _MOTIONS = ("minimum_jerk", "step")
 _STOPS, _LEG = 6, 2.0  # places to go to, [s] from one to the next
 _REACH = {"minimum_jerk": 0.6, "step": 0.15}  # [rad], from where it stands, within its limits
 _HEADINGS = (
-    *(
-        "robot",
-        "seed",
-        "motion",
-        "goal",
-        "laws",
-        "IVC predicted",
-        "measured",
-        "off",
-        "ITAE predicted",
-    ),
-    *("measured", "off", "model: IVC", "ITAE", "held"),
+    "robot",
+    "seed",
+    "motion",
+    "goal",
+    "laws",
+    "IVC predicted",
+    "measured",
+    "off",
+    "ITAE predicted",
+    "measured",
+    "off",
+    "model: IVC",
+    "ITAE",
+    "held",
 )
 
 

@@ -69,7 +69,10 @@ def benchmarks() -> Iterator[Row]:
         spread = f" ({least:.3g} to {most:.3g})" if least < most else ""
         missed = "" if each["met"] in (True, None) else ", **missed**"
         yield (
-            *(name, f"{each['ours']:.4g}", reference, each["unit"]),
+            name,
+            f"{each['ours']:.4g}",
+            reference,
+            each["unit"],
             f"{each['ratio']:.3g}{spread}",
             (", ".join(each["target"]) or "none") + missed,
         )

@@ -125,8 +125,12 @@ def nodes(context):
                 executable="joint_controllers",
                 namespace=namespace,
                 ros_arguments=[
-                    *("--params-file", controllers),
-                    *("-p", "wait_for_reference:=true", "-p", "state_clock:=simulated"),
+                    "--params-file",
+                    controllers,
+                    "-p",
+                    "wait_for_reference:=true",
+                    "-p",
+                    "state_clock:=simulated",
                 ],
             )
         )

@@ -15,24 +15,34 @@ from hpid_ros.base.resources import find_resource, share_folder
 from hpid_ros.robot.description import RobotDescription
 
 _PARAMETERS = (
-    *("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"),
-    *("set_parameters", "set_parameters_atomically"),
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
 )
 _LIFECYCLE = (
-    *("change_state", "get_state", "get_available_states", "get_available_transitions"),
+    "change_state",
+    "get_state",
+    "get_available_states",
+    "get_available_transitions",
     "get_transition_graph",
 )
 _BRIDGES = ("pybullet_bridge", "mujoco_bridge")
 _BRIDGE_SERVICES = (
-    *("pause", "step", "reset", "grip"),
+    "pause",
+    "step",
+    "reset",
+    "grip",
     # of simulation_interfaces, where that is installed
-    *("get_simulator_features", "get_simulation_state", "set_simulation_state"),
-    *("reset_simulation", "step_simulation"),
+    "get_simulator_features",
+    "get_simulation_state",
+    "set_simulation_state",
+    "reset_simulation",
+    "step_simulation",
 )
-_POSES = (
-    *("odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
-    *("brick_poses", "grip_events"),
-)
+_POSES = ("odom", "base_pose_ground_truth", "wheel_slip", "ee_pose", "brick_poses", "grip_events")
 _MERGER = "joint_command_merger"
 _MERGED = ("~/commands", "joint_command", "dynamic_joint_commands", "/effort_controller/commands")
 ACTION_SERVER = "joint_trajectory_controller"
@@ -54,12 +64,21 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
         _allow(
             profile,
             publish=(
-                *("joint_commands", "~/commands", "~/command", "~/reference", "~/terms"),
-                *("~/estimate", "~/transition_event", "/diagnostics"),
+                "joint_commands",
+                "~/commands",
+                "~/command",
+                "~/reference",
+                "~/terms",
+                "~/estimate",
+                "~/transition_event",
+                "/diagnostics",
                 *_claims(joint),
             ),
             subscribe=(
-                *("joint_states", "joint_trajectory", "~/setpoint", "~/relay"),
+                "joint_states",
+                "joint_trajectory",
+                "~/setpoint",
+                "~/relay",
                 *_claims(joint),
             ),
             reply=(f"~/{service}" for service in _LIFECYCLE),
@@ -86,7 +105,8 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
         profile,
         publish=("joint_trajectory", "/diagnostics"),
         subscribe=(
-            *("joint_states", "joint_trajectory"),
+            "joint_states",
+            "joint_trajectory",
             *(f"/{name}/reference" for name in controllers),
         ),
     )

@@ -180,7 +180,9 @@ def print_runs(console: Console, reports: Sequence[RunReport], duration: float) 
     headings = ("run", "states", "processes", "wall time", "rate", "real time")
     rows = [
         (
-            *(report.label, str(report.states), str(report.processes)),
+            report.label,
+            str(report.states),
+            str(report.processes),
             f"{report.wall_time:.2f} s",
             f"{report.rate:.0f} Hz",
             f"{duration / report.wall_time:.2f} x",

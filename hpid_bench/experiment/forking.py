@@ -33,8 +33,11 @@ _LIBC = ctypes.CDLL(None)
 _ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM)
 _LARGEST = 1 << 18  # [byte], of a request
 _OF_A_RUN = (
-    *("trajectory_publisher", "bag_recorder", "joint_controller"),
-    *("pybullet_bridge", "mujoco_bridge"),
+    "trajectory_publisher",
+    "bag_recorder",
+    "joint_controller",
+    "pybullet_bridge",
+    "mujoco_bridge",
 )
 _LOOKS_AT_PIPES = "hpid_ros.nodes.core.status"  # when it is imported: which ones it was given
 

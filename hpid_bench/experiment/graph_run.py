@@ -160,7 +160,8 @@ class GraphNodes:
     def controller_arguments(self) -> list[str]:
         """Return the ROS arguments of a controller of the run, also for one that starts late."""
         return [
-            *("--params-file", str(self._folder / "controllers.yaml")),
+            "--params-file",
+            str(self._folder / "controllers.yaml"),
             *parameters(
                 wait_for_command_subscribers=1 + self._is_apart,
                 wait_for_reference=True,
@@ -177,7 +178,8 @@ class GraphNodes:
         joints = len(self._experiment.world.joints)
         controllers = 1 if self._are_messages_shared else joints
         return [
-            *("--params-file", str(self._folder / "bridge.yaml")),
+            "--params-file",
+            str(self._folder / "bridge.yaml"),
             *parameters(
                 mode="realtime" if self._options.is_realtime else "lockstep",
                 exit_when_done=False,

@@ -348,7 +348,8 @@ class NodeGroup(AbstractContextManager["NodeGroup"]):
             given = [
                 "--ros-args",
                 *(("-r", f"__node:={name}") if is_renamed else ()),
-                *("-p", f"status_fd:={writer}"),
+                "-p",
+                f"status_fd:={writer}",
                 *arguments,
             ]
             if self._is_forked:

@@ -239,7 +239,8 @@ class ResultFolder:
             names += f" and {more} more" if more > 0 else ""
             _log.warning(
                 "%s also holds files that are not part of the result; they were kept: %s",
-                *(output, names),
+                output,
+                names,
             )
 
     def _correct_paths(self, written: Iterable[str]) -> None:

@@ -171,7 +171,12 @@ class AdviceClient:
 
     def __init__(self, command: Sequence[str] = ()) -> None:
         self._command = [*command] or [
-            *("nice", "-n", "19", sys.executable, "-m", "hpid_bench.live.advice")
+            "nice",
+            "-n",
+            "19",
+            sys.executable,
+            "-m",
+            "hpid_bench.live.advice",
         ]
         self._waiting: dict[Hashable, tuple[Mapping[str, Value], float, Hear]] = {}
         self._has_work = threading.Condition()

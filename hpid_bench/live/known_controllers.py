@@ -17,10 +17,7 @@ from hpid_ros.robot.joint_description import JointDescription
 SILENT_AFTER = 3.0
 """Time without a word on ``/diagnostics`` in [s]; controllers report once a second."""
 
-READ_PARAMETERS = (
-    *PARAMETERS,
-    *("robot_description", "introspection_rate", "require_certificate"),
-)
+READ_PARAMETERS = (*PARAMETERS, "robot_description", "introspection_rate", "require_certificate")
 """What is read of a joint controller: those of its loop, and some of its node."""
 
 

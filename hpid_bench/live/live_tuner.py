@@ -98,8 +98,12 @@ USAGE = Usage(
     "",
     names_of(TunerParameters, StatusParameters),
     [
-        *("joint_states", "joint_commands", "CONTROLLER/reference", "CONTROLLER/transition_event"),
-        *("/diagnostics", "/parameter_events"),
+        "joint_states",
+        "joint_commands",
+        "CONTROLLER/reference",
+        "CONTROLLER/transition_event",
+        "/diagnostics",
+        "/parameter_events",
     ],
 )
 

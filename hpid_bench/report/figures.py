@@ -292,7 +292,10 @@ class _RunFigures:
             note = f"{quantity.meaning} {value:.4g} {unit_of_l2}"
             labels[k] = f"{run.label}: {f'no {quantity.meaning}' if math.isnan(value) else note}"
         return Figure(
-            *(name, "time", f"Norm of the {what}", "time [s]"),
+            name,
+            "time",
+            f"Norm of the {what}",
+            "time [s]",
             f"norm of the {what} over all joints [{self._unit(unit)}]",
             [Panel("all joints", lines, 0.0, self._retunes)],
             labels=labels,
@@ -321,7 +324,10 @@ class _RunFigures:
             lines = [Line(k, each.frequency, each.density) for k, each in found if each]
             panels.append(Panel(heading, lines, None, [(NO_RUN, DEFAULT_CUTOFF)]))
         return Figure(
-            *("spectrum", "frequency", "Spectrum of the effort", "frequency [Hz]"),
+            "spectrum",
+            "frequency",
+            "Spectrum of the effort",
+            "frequency [Hz]",
             f"effort density [{self._unit(unit)}]",
             panels,
             y_log=True,

@@ -430,7 +430,7 @@ def encoded(film: Film, suffix: str, quality: int = _QUALITY) -> bytes:
         (first, *rest), how = _few_colors(film.frames), {"optimize": False}
     times = [film.period_ms] * len(rest) + [_LAST_MS]
     first.save(
-        *(buffer, suffix[1:]), save_all=True, append_images=rest, duration=times, loop=0, **how
+        buffer, suffix[1:], save_all=True, append_images=rest, duration=times, loop=0, **how
     )
     return buffer.getvalue()
 

@@ -40,8 +40,15 @@ from hpid_ros.stability.measured_margins import Distance, LoopReport, MeasuredJo
 
 _FIGURES = ("loop", "lam", "GM [dB]", "PM", "DM [ms]", "DM/T", "alpha", "Ms", "Mt", "BW [Hz]")
 _PLACES = (
-    *("loop", "certified", "frozen", "certified mu", "inertia", "friction", "norm"),
-    *("worst at m", "lam"),
+    "loop",
+    "certified",
+    "frozen",
+    "certified mu",
+    "inertia",
+    "friction",
+    "norm",
+    "worst at m",
+    "lam",
 )
 
 

@@ -245,10 +245,7 @@ def _cells(expected: Sequence[Expected]) -> list[list[Cell]]:
         format_values([value for each in expected for value in (each.before, each.after)])
     )
     return [
-        [
-            *(Cell(next(texts)), Cell(next(texts))),
-            Cell(format_ratio(each.ratio), verdict(each.ratio)),
-        ]
+        [Cell(next(texts)), Cell(next(texts)), Cell(format_ratio(each.ratio), verdict(each.ratio))]
         for each in expected
     ]
 

@@ -255,9 +255,15 @@ def _ran(prediction: Prediction, after: Path) -> tuple[tuple[str, ...], tuple[st
 
 
 _CHECKED = (
-    *("law", "gains.p", "gains.i", "gains.d", "mu", "discretization"),
+    "law",
+    "gains.p",
+    "gains.i",
+    "gains.d",
+    "mu",
+    "discretization",
     *(f"norm.{each.name}" for each in fields(NormSettings)),
-    *("velocity_source", "velocity_filter_time_constant"),
+    "velocity_source",
+    "velocity_filter_time_constant",
 )
 
 

@@ -17,10 +17,7 @@ from hpid_ros.base.errors import SettingError
 
 _PLAIN = re.compile("[A-Za-z_/][A-Za-z0-9_/*.-]*")
 _OTHERWISE = frozenset(
-    (
-        *("y", "n", "yes", "no", "true", "false", "on", "off"),
-        *("null", "inf", "infinity", "nan"),
-    )
+    ("y", "n", "yes", "no", "true", "false", "on", "off", "null", "inf", "infinity", "nan")
 )
 """Words that some parser takes for something else, in whatever case."""
 

@@ -18,8 +18,14 @@ class Estimation:
     """
 
     __slots__ = (
-        *("_opposing", "_observer", "_position_offset", "_fade_time", "_settings", "_source"),
-        *("position", "velocity"),
+        "_fade_time",
+        "_observer",
+        "_opposing",
+        "_position_offset",
+        "_settings",
+        "_source",
+        "position",
+        "velocity",
     )
 
     def __init__(self, settings: LoopSettings) -> None:

@@ -162,27 +162,23 @@ class Following:
     """Turns motions into the reference of each sample."""
 
     __slots__ = (
-        *(
-            "_active",
-            "_glide",
-            "_hull",
-            "_is_first",
-            "_offsets",
-            "_reference",
-            "_arrived",
-            "_waiting",
-        ),
-        *(
-            "acceleration",
-            "gives_effort",
-            "has_new_motion",
-            "has_waited",
-            "encoder_turn",
-            "motion",
-            "position",
-            "turn",
-            "velocity",
-        ),
+        "_active",
+        "_arrived",
+        "_glide",
+        "_hull",
+        "_is_first",
+        "_offsets",
+        "_reference",
+        "_waiting",
+        "acceleration",
+        "encoder_turn",
+        "gives_effort",
+        "has_new_motion",
+        "has_waited",
+        "motion",
+        "position",
+        "turn",
+        "velocity",
     )
 
     def __init__(self) -> None:

@@ -162,8 +162,14 @@ class Relay:
     """
 
     __slots__ = (
-        *("_lead", "_request", "_side", "_since_switch", "_time", "_weight"),
-        *("cycles", "ending"),
+        "_lead",
+        "_request",
+        "_side",
+        "_since_switch",
+        "_time",
+        "_weight",
+        "cycles",
+        "ending",
     )
 
     def __init__(self, request: RelayRequest, lead: float) -> None:

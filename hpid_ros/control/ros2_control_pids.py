@@ -32,10 +32,24 @@ _NEGLIGIBLE = 1e-9  # [rad] of a dead band; theirs is 1e-16 by default
 
 _KNOWN = frozenset(
     {
-        *("p", "i", "d", "i_clamp", "i_clamp_max", "i_clamp_min", "u_clamp_max", "u_clamp_min"),
-        *("antiwindup", "antiwindup_strategy", "tracking_time_constant", "error_deadband"),
-        *("ff_velocity_scale", "feedforward_gain", "angle_wraparound", "normalize_error"),
-        *("save_i_term", "activate_state_publisher"),
+        "p",
+        "i",
+        "d",
+        "i_clamp",
+        "i_clamp_max",
+        "i_clamp_min",
+        "u_clamp_max",
+        "u_clamp_min",
+        "antiwindup",
+        "antiwindup_strategy",
+        "tracking_time_constant",
+        "error_deadband",
+        "ff_velocity_scale",
+        "feedforward_gain",
+        "angle_wraparound",
+        "normalize_error",
+        "save_i_term",
+        "activate_state_publisher",
     }
 )
 

@@ -73,9 +73,22 @@ class SourceWatch:
     """Recognises two sources of one joint's states, and that one of them has ended."""
 
     __slots__ = (
-        *("_apart", "_back_ns", "_doubled", "_has_other", "_other", "_other_ns", "_position"),
-        *("_returns", "_since_ns", "_stamp_ns", "_turn", "_twice", "_usual", "_window_ns"),
-        *("is_split", "positions"),
+        "_apart",
+        "_back_ns",
+        "_doubled",
+        "_has_other",
+        "_other",
+        "_other_ns",
+        "_position",
+        "_returns",
+        "_since_ns",
+        "_stamp_ns",
+        "_turn",
+        "_twice",
+        "_usual",
+        "_window_ns",
+        "is_split",
+        "positions",
     )
 
     def __init__(self, bounds: SourceBounds) -> None:

@@ -46,8 +46,12 @@ class _Wait:
     """The time since a new state; either thread marks what it has done about it."""
 
     __slots__ = (
-        *("begin_ns", "is_answered", "is_caught_up", "is_noticed"),
-        *("not_before_ns", "freezes"),
+        "begin_ns",
+        "freezes",
+        "is_answered",
+        "is_caught_up",
+        "is_noticed",
+        "not_before_ns",
     )
 
     def __init__(self, begin_ns: int) -> None:

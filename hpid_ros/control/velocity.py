@@ -437,7 +437,9 @@ def _stationary(t: float) -> _Covariance:
     xx, xv, xw = d * f - e * e, c * e - b * f, b * e - c * d
     scale = 1.0 / (a * xx + b * xv + c * xw)
     return (
-        *(scale * xx, scale * xv, scale * xw),
+        scale * xx,
+        scale * xv,
+        scale * xw,
         scale * (a * f - c * c),
         scale * (b * c - a * e),
         scale * (a * d - b * b),

@@ -166,7 +166,13 @@ def _controller_state(raw: bytes, points: int, has_speed: bool) -> Layout:
 
 
 _DOF_FIELDS = (
-    *("reference", "feedback", "feedback_dot", "error", "error_dot", "time_step", "output"),
+    "reference",
+    "feedback",
+    "feedback_dot",
+    "error",
+    "error_dot",
+    "time_step",
+    "output",
 )
 """Numbers of a ``control_msgs/SingleDOFState``, behind its name."""
 

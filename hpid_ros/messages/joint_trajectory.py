@@ -62,7 +62,7 @@ class TrajectoryArrays(NamedTuple):
     def require(self) -> None:
         """Refuse what ``JointTrajectory`` refuses."""
         require_arrays(
-            *(self.names, self.stamp_ns, self.times_ns, self.arrays, self.lengths, self.point)
+            self.names, self.stamp_ns, self.times_ns, self.arrays, self.lengths, self.point
         )
 
     def column(self, joint: str) -> Column:

@@ -70,8 +70,20 @@ def unfollowed_mapping(runs: Sequence[RunSeries]) -> Mapping[str, Mapping[str, f
 
 
 QUALITY_COLUMNS = (
-    *("joint", "stream", "clock", "samples", "rate [Hz]", "from [s]", "to [s]"),
-    *("lost", "gaps", "longest gap [ms]", "at [s]", "repeated", "out of order", "not finite"),
+    "joint",
+    "stream",
+    "clock",
+    "samples",
+    "rate [Hz]",
+    "from [s]",
+    "to [s]",
+    "lost",
+    "gaps",
+    "longest gap [ms]",
+    "at [s]",
+    "repeated",
+    "out of order",
+    "not finite",
 )
 
 
@@ -161,12 +173,20 @@ def quality_rows(joint: str, quality: DataQuality) -> Iterator[tuple[object, ...
     )
     for name, each, clock in streams:
         yield (
-            *(joint, name, clock, each.count),
+            joint,
+            name,
+            clock,
+            each.count,
             f"{1.0 / each.period:.4g}" if each.period else "–",
-            *(f"{each.begin:.3f}", f"{each.end:.3f}", each.lost, each.gaps),
+            f"{each.begin:.3f}",
+            f"{each.end:.3f}",
+            each.lost,
+            each.gaps,
             f"{1e3 * each.longest_gap:.3f}" if each.gaps else "–",
             f"{each.longest_gap_at:.3f}" if each.gaps else "–",
-            *(each.repeated, each.out_of_order, each.not_finite),
+            each.repeated,
+            each.out_of_order,
+            each.not_finite,
         )
 
 

@@ -89,7 +89,11 @@ def read_run(
     chosen = replace(chosen, clock=resolve_clock(recording, chosen.clock))
     try:
         return _run(
-            *(label, recording, joints, chosen, quality),
+            label,
+            recording,
+            joints,
+            chosen,
+            quality,
             lambda share: told(_READING + (1.0 - _READING) * share),
         )
     except SeriesError as error:

@@ -199,8 +199,13 @@ def outline(series: JointSeries) -> JointOutline:
 
 
 _ARRAYS = (
-    *("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort"),
-    *("known", "velocity"),
+    "state_stamps_ns",
+    "position",
+    "reference",
+    "command_stamps_ns",
+    "effort",
+    "known",
+    "velocity",
 )
 
 
@@ -468,7 +473,12 @@ def complete_run(
         label,
         tuple(
             JointSeries(
-                *(joint, stamps_ns, positions[:, k], references[:, k], stamps_ns, efforts[:, k]),
+                joint,
+                stamps_ns,
+                positions[:, k],
+                references[:, k],
+                stamps_ns,
+                efforts[:, k],
                 is_slide=joint in slides,
             )
             for k, joint in enumerate(joints)

@@ -130,8 +130,11 @@ def _errors(
     velocities = [None] * series.time.size if series.velocity is None else series.velocity.tolist()
     efforts = _active_efforts(series) if estimation.has_observer else None
     rows = zip(
-        *(series.state_stamps_ns.tolist(), series.position.tolist(), velocities),
-        *(series.reference.tolist(), reference_rates.tolist()),
+        series.state_stamps_ns.tolist(),
+        series.position.tolist(),
+        velocities,
+        series.reference.tolist(),
+        reference_rates.tolist(),
         strict=True,
     )
     errors = []

@@ -87,7 +87,11 @@ SATURATION = _of_effort(
     "saturation", "saturated", "%", "time with the effort at a limit", Fold.MEAN
 )
 CHATTER = _of_effort(
-    *("chatter", "chatter", "N m", "effort above the cut-off frequency, rms", Fold.EUCLIDEAN),
+    "chatter",
+    "chatter",
+    "N m",
+    "effort above the cut-off frequency, rms",
+    Fold.EUCLIDEAN,
     else_undefined=NO_SPECTRUM,
 )
 ENERGY = _of_effort("energy", "energy", "J", "mechanical work exchanged")
@@ -97,9 +101,19 @@ STEP_QUANTITIES = (RISE_TIME, SETTLING_TIME, OVERSHOOT, STEADY_STATE_ERROR)
 QUANTITIES: Mapping[str, Quantity] = {
     quantity.key: quantity
     for quantity in (
-        *(IVC, IAVC, ITAE, IAE, ISE, RMSE, ERROR_MAX, EFFORT_L2, ERROR_L2),
+        IVC,
+        IAVC,
+        ITAE,
+        IAE,
+        ISE,
+        RMSE,
+        ERROR_MAX,
+        EFFORT_L2,
+        ERROR_L2,
         *STEP_QUANTITIES,
-        *(SATURATION, CHATTER, ENERGY),
+        SATURATION,
+        CHATTER,
+        ENERGY,
     )
 }
 """All quantities by key, in the order in which they are shown."""

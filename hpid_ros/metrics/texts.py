@@ -206,8 +206,18 @@ def _of_ratios(comparison: Comparison) -> Iterator[str]:
 
 
 CSV_COLUMNS = (
-    *("run", "scope", "joint", "quantity", "unit", "value", "ratio"),
-    *("repeats", "first_quartile", "third_quartile", "note", "against"),
+    "run",
+    "scope",
+    "joint",
+    "quantity",
+    "unit",
+    "value",
+    "ratio",
+    "repeats",
+    "first_quartile",
+    "third_quartile",
+    "note",
+    "against",
 )
 
 

@@ -548,9 +548,17 @@ class JointController(ManagedNode):
 
 
 CONTROLLER_RECORDS: tuple[type[Record], ...] = (
-    *(LoopSettings, ControllerParameters, ClaimParameters, RobotParameters, ManagedParameters),
-    *(StopParameters, CertificationParameters, RelayParameters),
-    *(IntrospectionParameters, Scheduling, StatusParameters),
+    LoopSettings,
+    ControllerParameters,
+    ClaimParameters,
+    RobotParameters,
+    ManagedParameters,
+    StopParameters,
+    CertificationParameters,
+    RelayParameters,
+    IntrospectionParameters,
+    Scheduling,
+    StatusParameters,
 )
 """What a controller's parameters are declared by."""
 

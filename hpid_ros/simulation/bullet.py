@@ -415,7 +415,10 @@ class BulletPhysics:
         for joint in geared(self._description.joints.values()):
             rotor = self._joints[rotor_name(joint)]
             gear = self.client.createConstraint(
-                *(self.body, self._joints[joint.name], self.body, rotor),
+                self.body,
+                self._joints[joint.name],
+                self.body,
+                rotor,
                 jointType=pybullet.JOINT_GEAR,
                 jointAxis=joint.axis,
                 parentFramePosition=_NOTHING,
@@ -607,8 +610,7 @@ class BulletPhysics:
             *inverse, brick.position, brick.orientation
         )
         self._held = client.createConstraint(
-            *(robot, link, body, -1, pybullet.JOINT_FIXED, _NOTHING),
-            *(position, _NOTHING, orientation),
+            robot, link, body, -1, pybullet.JOINT_FIXED, _NOTHING, position, _NOTHING, orientation
         )
         client.changeConstraint(self._held, maxForce=_UNYIELDING)
 

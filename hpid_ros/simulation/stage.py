@@ -117,7 +117,7 @@ class Stage:
         mujoco.mj_camlight(self._model, self._data)
         parts = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
-            *(self._model, self._data, self._options, None, self._camera, parts, self._scene)
+            self._model, self._data, self._options, None, self._camera, parts, self._scene
         )
         rectangle = mujoco.MjrRect(0, 0, self._width, self._height)
         pixels = np.empty((self._height, self._width, 3), dtype=np.uint8)

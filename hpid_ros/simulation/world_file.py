@@ -29,7 +29,14 @@ from hpid_ros.simulation.settings import (
 )
 
 WORLD_SECTIONS = (
-    *("robot", "control", "simulation", "seed", "sensors", "actuators", "disturbances", "scene"),
+    "robot",
+    "control",
+    "simulation",
+    "seed",
+    "sensors",
+    "actuators",
+    "disturbances",
+    "scene",
 )
 """Keys of a file that describe its world."""
 _OF_EXPERIMENTS = ("name", "duration", "reference", "controllers", "compare", "judge")

@@ -115,7 +115,10 @@ def frequency_grid(loop: FrozenLoop, points: int = _POINTS) -> Numbers:
     p, i, d = gains.p, gains.i, gains.d
     squares = (_over(p, joint.inertia), _over(i, d))
     corners = [
-        *(_over(i, p), _over(p, d), _over(d, joint.inertia), _over(joint.friction, joint.inertia)),
+        _over(i, p),
+        _over(p, d),
+        _over(d, joint.inertia),
+        _over(joint.friction, joint.inertia),
         *(math.sqrt(each) for each in squares),
         _over(p, joint.friction),
         joint.nyquist,

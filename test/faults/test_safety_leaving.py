@@ -141,7 +141,10 @@ def test_all_joints_of_a_process_are_left_before_any_node_waits():
     """A subscriber that acknowledges nothing to one of them must not delay the others."""
     ended = run(TWO_NODES)
     assert ended.stdout.split("\n")[:4] == [
-        *("left first", "left second", "closed first", "closed second")
+        "left first",
+        "left second",
+        "closed first",
+        "closed second",
     ]
     assert ended.returncode == 1
 

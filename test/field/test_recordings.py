@@ -289,7 +289,9 @@ def other_sender(kind, k):
 
 
 KINDS = (
-    *("one stamp, other order", "other stamps, other order", "a clock of its own"),
+    "one stamp, other order",
+    "other stamps, other order",
+    "a clock of its own",
     "a driver of the same layout",
 )
 

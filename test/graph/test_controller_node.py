@@ -329,7 +329,8 @@ def test_priority_and_affinity_reach_every_thread_or_are_told_as_refused(harness
         "joint_controller",
         [
             *ros_arguments(joint="elbow", law="pid", realtime_priority=5, **GAINS),
-            *("-p", f"cpu_affinity:=[{cpu}]"),
+            "-p",
+            f"cpu_affinity:=[{cpu}]",
         ],
     )
     harness.wait(lambda: harness.states.get_subscription_count() > 0, what="the controller")

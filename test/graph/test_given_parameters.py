@@ -26,9 +26,14 @@ from hpid_ros.nodes.core.process import LAUNCH
 MS = 1_000_000
 LISTENS_WITHIN = 150.0  # [s]; nine processes start at once, perhaps on a busy machine
 EXECUTABLES = (
-    *("joint_controller", "joint_controllers", "single_process", "joint_command_merger"),
+    "joint_controller",
+    "joint_controllers",
+    "single_process",
+    "joint_command_merger",
     *(f"{engine}_bridge" for engine in INSTALLED),
-    *("trajectory_publisher", "bag_recorder", "bag_metrics"),
+    "trajectory_publisher",
+    "bag_recorder",
+    "bag_metrics",
 )
 ACTION = "follow_joint_trajectory"
 STARTED = (*EXECUTABLES, ACTION) if find_spec("control_msgs") else EXECUTABLES
@@ -71,16 +76,27 @@ class Graph:
         self.arguments = {
             "joint_controller": ros_arguments(joint="elbow", gains__p=60, norm__floor=5e-5),
             "joint_controllers": [
-                *("-p", f"joints:=[{', '.join(JOINTS)}]", "-p", "merge:=true"),
-                *("-r", "__ns:=/many"),
+                "-p",
+                f"joints:=[{', '.join(JOINTS)}]",
+                "-p",
+                "merge:=true",
+                "-r",
+                "__ns:=/many",
             ],
             "single_process": [
-                *("-p", "joints:=[arm_joint_1]", "-p", f"bag:={folder / 'single'}"),
-                *("-p", "record:=true", "-r", "__ns:=/one"),
+                "-p",
+                "joints:=[arm_joint_1]",
+                "-p",
+                f"bag:={folder / 'single'}",
+                "-p",
+                "record:=true",
+                "-r",
+                "__ns:=/one",
             ],
             "pybullet_bridge": [
                 *ros_arguments(mode="realtime", real_time_factor=0.1, payload_mass=1, seed=3),
-                *("-p", f"initial_positions:={robot['initial_positions']}"),
+                "-p",
+                f"initial_positions:={robot['initial_positions']}",
             ],
             "mujoco_bridge": ros_arguments(mode="realtime", real_time_factor=0.1, fixed_base=True),
             "joint_command_merger": [
@@ -97,12 +113,16 @@ class Graph:
         self.nodes = {
             "joint_controller": ["/joint_controller"],
             "joint_controllers": [
-                *("/many/joint_controllers", f"/many/{JOINTS[7]}_controller"),
+                "/many/joint_controllers",
+                f"/many/{JOINTS[7]}_controller",
                 "/many/joint_command_merger",
             ],
             "single_process": [
-                *("/one/single_process", f"/one/{BRIDGE}", "/one/joint_controllers"),
-                *("/one/arm_joint_1_controller", "/one/bag_recorder"),
+                "/one/single_process",
+                f"/one/{BRIDGE}",
+                "/one/joint_controllers",
+                "/one/arm_joint_1_controller",
+                "/one/bag_recorder",
             ],
             **{f"{name}": [f"/{name}"] for name in EXECUTABLES[3:]},
             **({ACTION: ["/joint_trajectory_controller"]} if ACTION in STARTED else {}),
@@ -269,7 +289,9 @@ class Robot:
             f"{name}_controllers",
             "joint_controllers",
             [
-                *("--params-file", str(folder / "controllers.yaml"), *space),
+                "--params-file",
+                str(folder / "controllers.yaml"),
+                *space,
                 *ros_arguments(certify=False, wait_for_reference=True, state_watchdog=False),
             ],
         )
@@ -278,7 +300,9 @@ class Robot:
             f"{name}_bridge",
             f"{experiment.world.engine}_bridge",
             [
-                *("--params-file", str(folder / "bridge.yaml"), *space),
+                "--params-file",
+                str(folder / "bridge.yaml"),
+                *space,
                 *ros_arguments(frame_prefix=f"{name}/", wait_for_subscribers=joints + 1),
                 *ros_arguments(wait_for_publishers=joints, exit_when_done=False),
             ],

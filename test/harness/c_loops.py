@@ -50,8 +50,16 @@ class CLibrary:
         members = [(field.name, self._type(field)) for field in FIELDS]
         self.settings_type = type("Settings", (ctypes.Structure,), {"_fields_": members})
         numbers = [
-            *("effort", "integral", "p", "i", "d"),
-            *("error", "position", "velocity", "reference", "rate"),
+            "effort",
+            "integral",
+            "p",
+            "i",
+            "d",
+            "error",
+            "position",
+            "velocity",
+            "reference",
+            "rate",
         ]
         head = [
             ("condition", ctypes.c_int),
@@ -109,7 +117,12 @@ class CLoop:
         self._step = library.function("step")
         real = library.real
         self._step.argtypes = [
-            *(ctypes.c_void_p, ctypes.c_int64, real, real, real, ctypes.POINTER(real))
+            ctypes.c_void_p,
+            ctypes.c_int64,
+            real,
+            real,
+            real,
+            ctypes.POINTER(real),
         ]
         self.is_ready = library.call("init", self.state, library.of_python(settings))
 

@@ -13,8 +13,20 @@ from hpid_ros.messages.joint_trajectory import encode_trajectory
 MS = 1_000_000
 NUMBERS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 1e18, 0.0, -0.0, 1.0)
 KINDS = (
-    *("good", "good", "number", "stamp", "names", "lengths", "bits", "cut", "bytes", "empty"),
-    *("twice", "many", "order", "repeat"),
+    "good",
+    "good",
+    "number",
+    "stamp",
+    "names",
+    "lengths",
+    "bits",
+    "cut",
+    "bytes",
+    "empty",
+    "twice",
+    "many",
+    "order",
+    "repeat",
 )
 
 
@@ -104,24 +116,34 @@ class StateFuzzer:
 
 
 NAMES = (
-    *(
-        "",
-        " ",
-        "elbow\n",
-        "élbow",
-        "x" * 3000,
-        "<b>",
-        "'; --",
-        "elbow\x00",
-        "\u202eelbow",
-        "0",
-        "*",
-    ),
+    "",
+    " ",
+    "elbow\n",
+    "élbow",
+    "x" * 3000,
+    "<b>",
+    "'; --",
+    "elbow\x00",
+    "\u202eelbow",
+    "0",
+    "*",
 )
 STAMPS_NS = (0, 1, -1, MS, 10**9, 10**15, 2**62, -(10**18))
 TRAJECTORY_KINDS = (
-    *("good", "good", "good", "number", "times", "stamp", "names", "lengths", "cut", "bits"),
-    *("bytes", "counts", "large", "empty"),
+    "good",
+    "good",
+    "good",
+    "number",
+    "times",
+    "stamp",
+    "names",
+    "lengths",
+    "cut",
+    "bits",
+    "bytes",
+    "counts",
+    "large",
+    "empty",
 )
 
 
@@ -246,6 +268,14 @@ class GoalFuzzer:
 
 
 GOAL_KINDS = (
-    *("good", "good", "number", "times", "stamp", "names", "empty", "lengths", "points"),
+    "good",
+    "good",
+    "number",
+    "times",
+    "stamp",
+    "names",
+    "empty",
+    "lengths",
+    "points",
     "tolerance",
 )

@@ -72,15 +72,26 @@ HASHES = {  # of these types in any installation of Jazzy: a field that differs 
     ),
 }
 USED = (  # by these interfaces, by services and by actions
-    *("action_msgs", "builtin_interfaces", "geometry_msgs", "service_msgs", "std_msgs"),
-    *("trajectory_msgs", "unique_identifier_msgs"),
+    "action_msgs",
+    "builtin_interfaces",
+    "geometry_msgs",
+    "service_msgs",
+    "std_msgs",
+    "trajectory_msgs",
+    "unique_identifier_msgs",
 )
 TYPE_SUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
 PARTS = ("rosidl_generator_c", "rosidl_generator_py", "rosidl_typesupport_c", *TYPE_SUPPORTS)
 LIBRARIES = (
     *("__".join(each) for each in product(USED, PARTS)),
-    *("rosidl_runtime_c", "rosidl_typesupport_c", *TYPE_SUPPORTS),
-    *("rosidl_typesupport_fastrtps_cpp", "rcutils", "rmw", "fastcdr", "stdc++"),
+    "rosidl_runtime_c",
+    "rosidl_typesupport_c",
+    *TYPE_SUPPORTS,
+    "rosidl_typesupport_fastrtps_cpp",
+    "rcutils",
+    "rmw",
+    "fastcdr",
+    "stdc++",
 )
 HEADERS = Path(sysconfig.get_path("include"))  # of Python
 PREFIX = Path(sys.prefix)  # of the wheels

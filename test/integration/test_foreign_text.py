@@ -81,8 +81,29 @@ def test_csv_cells_are_texts_or_numbers_and_never_formulas(row):
 
 LABELS = ("PID", "hPID+", "best hPID", "mu = -0.2", "μ=0,3 (b)", "Regler_2", "é", "2", "x" * 48)
 NO_LABELS = (
-    *("", " ", ".", "..", ".x", "-x", "+x", "=x", "a/b", "../x", "/tmp/x", "a\\b", "x ", " x"),
-    *("a\0b", "a\nb", "x" * 49, "a:b", "~", "a*", "$(x)", "é\u0301\u202e", *HOSTILE),
+    "",
+    " ",
+    ".",
+    "..",
+    ".x",
+    "-x",
+    "+x",
+    "=x",
+    "a/b",
+    "../x",
+    "/tmp/x",
+    "a\\b",
+    "x ",
+    " x",
+    "a\0b",
+    "a\nb",
+    "x" * 49,
+    "a:b",
+    "~",
+    "a*",
+    "$(x)",
+    "é\u0301\u202e",
+    *HOSTILE,
 )
 
 

@@ -21,10 +21,18 @@ from hpid_ros.base.libraries import OPTIONAL
 pytestmark = pytest.mark.repository
 
 EXECUTABLES = {
-    *("joint_controller", "joint_controllers", "joint_command_merger"),
-    *("pybullet_bridge", "mujoco_bridge"),
-    *("trajectory_publisher", "follow_joint_trajectory"),
-    *("bag_recorder", "bag_metrics", "live_tuner", "single_process", "hpid"),
+    "joint_controller",
+    "joint_controllers",
+    "joint_command_merger",
+    "pybullet_bridge",
+    "mujoco_bridge",
+    "trajectory_publisher",
+    "follow_joint_trajectory",
+    "bag_recorder",
+    "bag_metrics",
+    "live_tuner",
+    "single_process",
+    "hpid",
 }
 
 
@@ -87,8 +95,16 @@ def test_an_installed_executable_finds_its_share_folder(installed, tmp_path):
 
 def test_a_wheel_holds_every_file_and_command(source, tmp_path):
     run(
-        *(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"),
-        *("--wheel-dir", str(tmp_path), str(source)),
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--wheel-dir",
+        str(tmp_path),
+        str(source),
     )
     (wheel,) = tmp_path.glob("hpid_ros-*.whl")
     with zipfile.ZipFile(wheel) as archive:
@@ -119,7 +135,9 @@ KEY_OF = {
 """Keys of Python modules; those of ROS packages have the module's name."""
 
 WITHOUT_KEY = {name for name in OPTIONAL if name not in KEY_OF} - {"rclpy"} | {
-    *("compression", "simulation_interfaces", "controller_manager_msgs")
+    "compression",
+    "simulation_interfaces",
+    "controller_manager_msgs",
 }
 """Imported where they are installed; the last two add services, and nothing is missed without."""
 

@@ -114,8 +114,12 @@ def test_result_and_bag_hold_the_base(experiment_file, tmp_path):
     base = json.loads(json.dumps(result.as_mapping()))["base"]
     assert list(base) == ["PID", "hPID"]
     assert set(base["PID"]) == {
-        *("path_length", "odometry", "tracking"),
-        *("slip_left", "slip_right", "slip_lateral"),
+        "path_length",
+        "odometry",
+        "tracking",
+        "slip_left",
+        "slip_right",
+        "slip_lateral",
     }
     bag = bags["PID"]
     for topic in ("odom", "base_pose_ground_truth"):

@@ -353,8 +353,15 @@ def test_margins_and_check_gains_ask_whoever_knows_what_slides(experiment, resul
 
 def test_margins_are_drawn_on_the_inertia_in_its_unit(hpid, experiment, tmp_path):
     code, *told = hpid(
-        *("margins", experiment, "--controller", "PID"),
-        *("--friction", "lift=3", "turn=0.1", "--plot", tmp_path / "loop.svg"),
+        "margins",
+        experiment,
+        "--controller",
+        "PID",
+        "--friction",
+        "lift=3",
+        "turn=0.1",
+        "--plot",
+        tmp_path / "loop.svg",
     )
     assert code == DONE, told
     titles = {

@@ -286,7 +286,12 @@ def test_tables_for_the_docs_are_tables(studied):
     text = (studied[1] / "tables.md").read_text()
     blocks = re.findall(r"<!-- begin (.*?) -->\n(.*?)<!-- end \1 -->\n", text, re.S)
     assert [name for name, _ in blocks] == [
-        *("claims hPID", "loops", "totals calm", "joints calm", "totals noisy", "joints noisy")
+        "claims hPID",
+        "loops",
+        "totals calm",
+        "joints calm",
+        "totals noisy",
+        "joints noisy",
     ]
     for _, body in blocks:
         rows = [line for line in body.splitlines() if line.startswith("|")]

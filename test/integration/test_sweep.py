@@ -205,7 +205,12 @@ def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, hpi
     assert saved["runs"] == {"planned": 6, "made": 6}
     runs = list(csv.DictReader((one / "sweep.csv").open()))
     assert [(run["mu"], run["seed"]) for run in runs] == [
-        *(("", "1"), ("", "2"), ("-0.2", "1"), ("-0.2", "2"), ("0.1", "1"), ("0.1", "2")),
+        ("", "1"),
+        ("", "2"),
+        ("-0.2", "1"),
+        ("-0.2", "2"),
+        ("0.1", "1"),
+        ("0.1", "2"),
         ("0.6", ""),
     ]
     assert len({run["ivc"] for run in runs if run["seed"]}) == 6

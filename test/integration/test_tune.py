@@ -231,8 +231,13 @@ def test_what_is_saved_depends_neither_on_the_jobs_nor_on_the_day(path, tmp_path
         folders.append({each.name: each.read_bytes() for each in folder.iterdir()})
     one, two = folders
     assert set(one) == {
-        *("best.yaml", "experiment.yaml", "points.csv", "table.txt", "tune.json"),
-        *("trade_off.png", "hpid_result.json"),
+        "best.yaml",
+        "experiment.yaml",
+        "points.csv",
+        "table.txt",
+        "tune.json",
+        "trade_off.png",
+        "hpid_result.json",
     }
     assert one == two
 

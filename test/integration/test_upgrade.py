@@ -215,8 +215,12 @@ def prediction(**ratios):
 @pytest.mark.parametrize(
     ("ratio", "doubt", "is_kept"),
     [
-        *((0.9, 0.0, False), (0.979, 0.0, False), (0.985, 0.0, True), (1.3, 0.0, True)),
-        *((0.9, 0.04, False), (0.9, 0.2, True)),
+        (0.9, 0.0, False),
+        (0.979, 0.0, False),
+        (0.985, 0.0, True),
+        (1.3, 0.0, True),
+        (0.9, 0.04, False),
+        (0.9, 0.2, True),
     ],
 )
 def test_where_the_goals_index_does_not_fall_for_certain_the_pid_is_kept(ratio, doubt, is_kept):

@@ -46,12 +46,20 @@ def test_a_recording_is_measured_as_with_them(bag):
 
 def test_every_node_starts_and_the_recorder_says_what_it_lacks(tmp_path):
     nodes = (
-        *("joint_controller", "joint_controllers", "joint_command_merger", "bag_metrics"),
-        *("follow_joint_trajectory", "trajectory_publisher", "pybullet_bridge", "mujoco_bridge"),
+        "joint_controller",
+        "joint_controllers",
+        "joint_command_merger",
+        "bag_metrics",
+        "follow_joint_trajectory",
+        "trajectory_publisher",
+        "pybullet_bridge",
+        "mujoco_bridge",
     )
     program = f"from hpid_ros.nodes import {', '.join(nodes)}, bag_recorder as node\n"
     ended = barred(
-        *("--ros-args", "-p", f"bag:={tmp_path / 'bag'}"),
+        "--ros-args",
+        "-p",
+        f"bag:={tmp_path / 'bag'}",
         program=f"{program}sys.exit(node.main(sys.argv))",
         libraries=OPTIONAL.keys() - {"rclpy"},
     )
@@ -65,7 +73,7 @@ def test_a_robot_without_the_bench_measures_its_recordings(bag):
     """The bench is a package of its own: not even by name is it there."""
     libraries = {*OPTIONAL.keys() - {"rclpy"}, "hpid_bench"}
     program = "from hpid_ros.nodes import bag_metrics as node; sys.exit(node.main(sys.argv))"
-    ended = barred(*("--ros-args", "-p", f"bags:=['{bag}']"), program=program, libraries=libraries)
+    ended = barred("--ros-args", "-p", f"bags:=['{bag}']", program=program, libraries=libraries)
     assert ended.returncode == 0, ended.stderr
     rows = [line.split() for line in ended.stdout.splitlines()]
     assert rows[0][:2] == ["index", "joint"]
@@ -114,8 +122,14 @@ def test_a_module_that_nobody_may_lack_is_no_optional_one():
 
 SLOW = {"matplotlib", "mujoco", "pinocchio", "pybullet", "scipy"}
 NODES = (
-    *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
-    *("mujoco_bridge", "trajectory_publisher", "bag_recorder", "follow_joint_trajectory"),
+    "joint_controller",
+    "joint_controllers",
+    "single_process",
+    "pybullet_bridge",
+    "mujoco_bridge",
+    "trajectory_publisher",
+    "bag_recorder",
+    "follow_joint_trajectory",
 )
 
 

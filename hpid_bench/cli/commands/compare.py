@@ -51,7 +51,9 @@ def run(options: argparse.Namespace) -> int:
                 _print(console, result, reports)
 
         run_comparison(
-            *(experiment, output, progress),
+            experiment,
+            output,
+            progress,
             in_process=options.in_process,
             options=GraphOptions(options.processes),
             force=options.force,
@@ -98,7 +100,11 @@ def run_one(options: argparse.Namespace) -> int:
     console = output_console()
     with RunProgress(console, experiment, [label]) as progress:
         report, result = run_controller(
-            *(experiment, label, output, progress, graph),
+            experiment,
+            label,
+            output,
+            progress,
+            graph,
             force=options.force,
             is_tried=not options.no_trial,
         )

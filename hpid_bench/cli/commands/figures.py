@@ -59,7 +59,9 @@ def draw_result(
 def printed_figures(found: Summary) -> list[Figure]:
     """Return the figures of recordings, in the detail of print."""
     return figures_of(
-        *(found.comparison, found.series, PRINT_SAMPLES),
+        found.comparison,
+        found.series,
+        PRINT_SAMPLES,
         repeats=found.repeats,
         gains=found.gains(),
         paths=found.paths,

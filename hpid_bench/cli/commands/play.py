@@ -86,7 +86,8 @@ def _start(
         COMPOSED,
         COMPOSED,
         [
-            *("--params-file", str(controllers)),
+            "--params-file",
+            str(controllers),
             *parameters(wait_for_reference=True, state_clock="simulated"),
         ],
         is_renamed=False,

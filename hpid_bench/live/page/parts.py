@@ -14,9 +14,7 @@ from hpid_bench.live.trials import Trials
 from hpid_ros.base.errors import HpidError
 
 CHART_INK = "#7d8791"
-COLOURS = (
-    *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d31", "#7570b3"),
-)
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d31", "#7570b3")
 """Those of Okabe and Ito first: people who see red and green alike tell them apart."""
 
 

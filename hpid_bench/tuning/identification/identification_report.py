@@ -407,8 +407,18 @@ _SHORT = {GRAVITY_SIN: "gravity", OFFSET: "load", EFFORT_SCALE: "effort scale"}
 def as_mapping(found: RobotIdentification) -> dict[str, Any]:
     """Return everything as JSON has it, by joint."""
     facts = (
-        *("method", "why", "cutoff", "rows", "time", "stribeck_speed", "residual", "explained"),
-        *("condition", "travel", "speed", "acceleration"),
+        "method",
+        "why",
+        "cutoff",
+        "rows",
+        "time",
+        "stribeck_speed",
+        "residual",
+        "explained",
+        "condition",
+        "travel",
+        "speed",
+        "acceleration",
     )
     document = {}
     for each in found.joints:

@@ -49,7 +49,9 @@ class JointEfforts:
         # Of several each must be on the clock of the states, by stamps or as it was received.
         candidates = [
             self._candidate(
-                *(topic, found, not_finite),
+                topic,
+                found,
+                not_finite,
                 is_stamped and not (len(taken) > 1 and self._clock.is_another(found)),
             )
             for topic, found, not_finite, is_stamped in taken

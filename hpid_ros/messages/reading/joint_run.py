@@ -125,9 +125,7 @@ class JointRun:
             array.setflags(write=False)
         is_known = None if not len(reference) or known.all() else known
         series = JointSeries(
-            *(self._joint, *states[:2], reference, *commands[:2]),
-            known=is_known,
-            velocity=velocity,
+            self._joint, *states[:2], reference, *commands[:2], known=is_known, velocity=velocity
         )
         begin = None if found is None else found.begin_ns
         quality = DataQuality(

@@ -314,11 +314,20 @@ _ALWAYS = frozenset((signal.SIGINT, signal.SIGTERM))  # also where a shell had t
 _STOPS = frozenset((signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU))
 _LEFT_ALONE = frozenset(
     (
-        *(signal.SIGKILL, signal.SIGSTOP),  # nobody can catch them
-        *(signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH),  # they end nothing
+        signal.SIGKILL,
+        signal.SIGSTOP,  # nobody can catch them
+        signal.SIGCHLD,
+        signal.SIGCONT,
+        signal.SIGURG,
+        signal.SIGWINCH,  # they end nothing
         # The process has crashed, or a debugger is at it.
-        *(signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL),
-        *(signal.SIGTRAP, signal.SIGSYS),
+        signal.SIGSEGV,
+        signal.SIGABRT,
+        signal.SIGBUS,
+        signal.SIGFPE,
+        signal.SIGILL,
+        signal.SIGTRAP,
+        signal.SIGSYS,
     )
 )
 _CLOSE, _CHECK_AGAIN = 0, 255  # on the pipe, which else has the numbers of signals

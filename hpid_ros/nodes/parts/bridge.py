@@ -606,8 +606,16 @@ def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
 
 
 BRIDGE_RECORDS: tuple[type[Record], ...] = (
-    *(WorldFileParameters, WorldParameters, PaceParameters, WaitingParameters, RecordParameters),
-    *(ReportParameters, FrameParameters, WrenchParameters, Scheduling, StatusParameters),
+    WorldFileParameters,
+    WorldParameters,
+    PaceParameters,
+    WaitingParameters,
+    RecordParameters,
+    ReportParameters,
+    FrameParameters,
+    WrenchParameters,
+    Scheduling,
+    StatusParameters,
 )
 """What a bridge's parameters are declared by, but for those laid over the file."""
 
@@ -626,8 +634,15 @@ def usage(name: str, engine: str) -> Usage:
         [*OVER_THE_FILE, *names_of(*BRIDGE_RECORDS)],
         ["joint_commands", "~/wrench"],
         [
-            *("joint_states", "clock", "odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
-            *("brick_poses", "grip_events", "/diagnostics"),
+            "joint_states",
+            "clock",
+            "odom",
+            "base_pose_ground_truth",
+            "wheel_slip",
+            "ee_pose",
+            "brick_poses",
+            "grip_events",
+            "/diagnostics",
         ],
         ["~/pause", "~/step", "~/reset", "~/grip"],
     )

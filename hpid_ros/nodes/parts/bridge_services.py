@@ -265,9 +265,7 @@ class BridgeReports:
         asked = read(node, ReportParameters)
         link = world.description.link(asked.ee_link or world.description.last_link)
         self._reports = Reports(
-            *(world, link, asked.report_rate, end_ns),
-            prefix=prefix,
-            notice=self._on_grip_event,
+            world, link, asked.report_rate, end_ns, prefix=prefix, notice=self._on_grip_event
         )
         self._publishers = {
             topic: node.create_publisher(

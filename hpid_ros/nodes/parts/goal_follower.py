@@ -270,7 +270,10 @@ class GoalFollower:
         nearest = self._nearest(request, start_ns, taken_ns)
         settling = settings.fixed.takeover_time
         trajectory = for_all_joints(
-            *(nearest, settings.joints, start_ns, now_ns),
+            nearest,
+            settings.joints,
+            start_ns,
+            now_ns,
             standing=standing,
             rest=rest,
             settling=settling,

@@ -199,8 +199,12 @@ def test_under_decoupling_the_damping_effort_decides_whether_a_joint_moves_too_f
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        *(("amplitude", math.nan), ("amplitude", -1.0), ("hysteresis", math.inf)),
-        *(("cycles", 1e6), ("duration", 31.0), ("deviation", 0.0)),
+        ("amplitude", math.nan),
+        ("amplitude", -1.0),
+        ("hysteresis", math.inf),
+        ("cycles", 1e6),
+        ("duration", 31.0),
+        ("deviation", 0.0),
     ],
 )
 def test_what_is_no_relay_is_refused(name, value):

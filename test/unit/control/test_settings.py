@@ -38,8 +38,15 @@ from hpid_ros.stability.gain_check import kind_of
 
 SCALES = ("norm.error_scale", "norm.rate_weight")
 GROUPS = [
-    *(NormSettings, EffortLimits, IntegralLimits, MotionSettings, SoftStop, Timing),
-    *(ObserverSettings, FeedforwardSettings, ModelSettings),
+    NormSettings,
+    EffortLimits,
+    IntegralLimits,
+    MotionSettings,
+    SoftStop,
+    Timing,
+    ObserverSettings,
+    FeedforwardSettings,
+    ModelSettings,
 ]
 
 
@@ -205,7 +212,7 @@ def test_settings_are_not_changed_by_changing_them():
     assert hash(settings) == hash(replace(changed, norm=NormSettings(error_scale=0.5)))
 
 
-ANYWHERE = [*(0.0, -0.0, 5e-324, 1e-300, 1e-12, 1.0, math.nan, math.inf, 1e300, 3, 10**400)]
+ANYWHERE = [0.0, -0.0, 5e-324, 1e-300, 1e-12, 1.0, math.nan, math.inf, 1e300, 3, 10**400]
 ANYWHERE += [True, None, "x"]
 
 

@@ -42,7 +42,10 @@ FIELDS = ("state_stamps_ns", "position", "reference", "command_stamps_ns", "effo
 COUNT = 400
 PLAIN = {"compression": CompressionType.NONE}
 SWITCHES = (
-    *("use_statistics", "use_summary_offsets", "repeat_channels", "repeat_schemas"),
+    "use_statistics",
+    "use_summary_offsets",
+    "repeat_channels",
+    "repeat_schemas",
     "enable_crcs",
 )
 

@@ -52,15 +52,19 @@ def ran(settings, motion, reference, *, reports=lambda k: True, count=1500):
         position += dt * velocity
     stamps, position, reference_seen, effort, velocities = map(np.array, zip(*rows, strict=True))
     series = JointSeries(
-        *("elbow", stamps.astype(np.int64), position, reference_seen),
-        *(stamps.astype(np.int64), effort),
+        "elbow",
+        stamps.astype(np.int64),
+        position,
+        reference_seen,
+        stamps.astype(np.int64),
+        effort,
         velocity=velocities,
     )
     quality = RecordingQuality(joints={"elbow": DataQuality(reference=reference)})
     return RunSeries("hPID", (series,), quality=quality), np.array(own)
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=lambda each: each.source)
+@pytest.mark.parametrize("source", SOURCES, ids=lambda each: each.velocity_source)
 def test_the_multiplier_of_a_setpoint_is_the_loops_to_the_last_bit(source):
     settings = replace(SETTINGS, velocity=source)
     run, own = ran(settings, Setpoint(0.4), "setpoint /elbow_controller/setpoint")
@@ -69,7 +73,7 @@ def test_the_multiplier_of_a_setpoint_is_the_loops_to_the_last_bit(source):
     assert found.multiplier.values.tolist() == own.tolist()
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=lambda each: each.source)
+@pytest.mark.parametrize("source", SOURCES, ids=lambda each: each.velocity_source)
 def test_the_multiplier_of_a_motion_is_the_loops_but_for_the_rate_of_the_reference(source):
     settings = replace(SETTINGS, velocity=source)
     motion = minimum_jerk([0.0, 1.0], {"elbow": [0.0, 1.0]}).column("elbow")

@@ -43,17 +43,23 @@ def test_what_can_mean_only_one_thing_is_taken_for_that(kind, value, declared, r
         (T.BOOL, True, T.DOUBLE, "x must be a double, not true or false (True)"),
         (T.DOUBLE, 2.5, T.INTEGER, "x must be an integer, not a double (2.5)"),
         (
-            *(T.INTEGER, 1, T.STRING),
+            T.INTEGER,
+            1,
+            T.STRING,
             "x must be a text, not an integer (1); without quotes numbers are no texts to ROS: "
             """write '"1"'""",
         ),
         (
-            *(T.BOOL, True, T.STRING),
+            T.BOOL,
+            True,
+            T.STRING,
             "x must be a text, not true or false (True); without quotes y, yes, on and true are "
             """booleans to ROS: write '"y"'""",
         ),
         (
-            *(T.BOOL_ARRAY, [False], T.STRING_ARRAY),
+            T.BOOL_ARRAY,
+            [False],
+            T.STRING_ARRAY,
             """without quotes n, no, off and false are booleans to ROS: write '["n"]'""",
         ),
         (T.STRING, "a", T.STRING_ARRAY, "x must be an array of texts, not a text ('a')"),

@@ -70,7 +70,7 @@ def test_what_is_no_trajectory_is_refused(names, code, line):
     ("count", "is_mixed", "line"),
     [
         pytest.param(
-            *(LIVE.points, False, "may have 49999 points, not 50000"), marks=pytest.mark.slow
+            LIVE.points, False, "may have 49999 points, not 50000", marks=pytest.mark.slow
         ),
         (LIVE.mixed_points, True, "may have 4999 points that differ in their arrays"),
     ],

@@ -75,8 +75,10 @@ def test_a_foreign_byte_order_says_the_same(is_mixed):
     time, duration, header, point, kind = (
         store.types[name]
         for name in (
-            *("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"),
-            *("std_msgs/msg/Header", "trajectory_msgs/msg/JointTrajectoryPoint"),
+            "builtin_interfaces/msg/Time",
+            "builtin_interfaces/msg/Duration",
+            "std_msgs/msg/Header",
+            "trajectory_msgs/msg/JointTrajectoryPoint",
             "trajectory_msgs/msg/JointTrajectory",
         )
     )

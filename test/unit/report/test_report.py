@@ -125,7 +125,13 @@ def test_the_table_holds_every_number_of_every_run(text, runs):
 def test_every_figure_has_a_place_a_caption_and_its_data(text):
     page, figures = Page(text), figures_in(text)
     assert list(figures) == [
-        *("positions", "errors", "efforts", "effort_norm", "error_norm", "spectrum", "phase"),
+        "positions",
+        "errors",
+        "efforts",
+        "effort_norm",
+        "error_norm",
+        "spectrum",
+        "phase",
         "trade_off",
     ]
     assert set(figures) <= set(page.ids)
@@ -221,9 +227,24 @@ def test_losses_parameters_and_provenance_are_listed(text):
 
 MARKUP = st.sampled_from(
     [
-        *("<script>", "</script>", "</style>", "<!--", "-->", "<b onclick='x'>"),
-        *('" onload="x', "]]>"),
-        *("{{ 7 * 7 }}", "{% raw %}", "&lt;", "&#60;", "^2", "\x1b[2J", "\u202e", "'", "`", "\0"),
+        "<script>",
+        "</script>",
+        "</style>",
+        "<!--",
+        "-->",
+        "<b onclick='x'>",
+        '" onload="x',
+        "]]>",
+        "{{ 7 * 7 }}",
+        "{% raw %}",
+        "&lt;",
+        "&#60;",
+        "^2",
+        "\x1b[2J",
+        "\u202e",
+        "'",
+        "`",
+        "\0",
     ]
 )
 names = st.lists(MARKUP | st.text(max_size=3), min_size=1, max_size=4).map("".join).filter(bool)

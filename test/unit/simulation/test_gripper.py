@@ -136,7 +136,11 @@ def pull_at(world, brick, force):
     import pybullet
 
     pybullet.applyExternalForce(
-        *(physics._bricks[0], -1, force, brick.position, pybullet.WORLD_FRAME),
+        physics._bricks[0],
+        -1,
+        force,
+        brick.position,
+        pybullet.WORLD_FRAME,
         physicsClientId=physics.client.number,
     )
 

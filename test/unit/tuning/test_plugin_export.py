@@ -435,7 +435,9 @@ def test_the_package_says_the_same_of_itself_everywhere(exported):
     assert parameters["gains"]["p"]["validation"] == {"bounds<>": [0.0, 1e6]}
     assert parameters["compensation"]["validation"] == {"one_of<>": [["none"]]}
     assert parameters["velocity_source"]["validation"]["one_of<>"][0] == [
-        *("measured", "filtered", "homogeneous_differentiator")
+        "measured",
+        "filtered",
+        "homogeneous_differentiator",
     ]
     compile((exported / "launch" / "simulated.launch.py").read_text(), "launch", "exec")
     contents = {path.name: path.read_bytes() for path in exported.rglob("*") if path.is_file()}

@@ -18,7 +18,7 @@ def found(states=slice(None), commands=slice(None), effort=None, source="/joint_
     position, nobody = motion(TIMES)[0], np.empty(0)
     effort = needed(PLANT, *motion(TIMES)) if effort is None else effort
     own = JointSeries(
-        *("arm", stamps[states], position[states], nobody, stamps[commands], effort[commands])
+        "arm", stamps[states], position[states], nobody, stamps[commands], effort[commands]
     )
     quality = RecordingQuality(joints={"arm": DataQuality(effort=source)})
     return identify_robot(RunSeries("run", (own,), quality=quality), None)
