@@ -372,7 +372,8 @@ def test_drawing_leaves_matplotlib_as_it_was_and_pyplot_alone():
         "from hpid_bench.report.plots import drawing_bytes, drawn\n"
         "run = RunSeries('x', (JointSeries('a', [0, 9], [0, 1], [1, 1], [0, 9], [1, 2]),))\n"
         "numbers = Comparison((run_indices(run),))\n"
-        "assert [drawing_bytes(drawn(each, ['x']), 'svg') for each in figures_of(numbers, [run], 100)]\n"
+        "figures = figures_of(numbers, [run], 100)\n"
+        "assert [drawing_bytes(drawn(each, ['x']), 'svg') for each in figures]\n"
         "assert matplotlib.rcParams.copy() == before\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
